@@ -85,6 +85,7 @@ peers:
 	else echo "no cargo here: zenoh-bridge-ros2dds is not built, and benchmarks run without it"; fi
 dist deb lock:
 	.ci/release.sh $@
+# Pictures of real terminals also need Xvfb, kitty, xterm, ImageMagick and DejaVu's font; without them, it draws the others.
 screenshots texts: $(STAMP)
 	$(BIN)/python docs/$@.py
 man: $(STAMP)

@@ -1,6 +1,7 @@
 """Takes the pictures of the console on the running demos: ``make screenshots``, or those that are named.
 
-It needs no terminal: its own has 24-bit colours, wherever it runs.
+SVG needs no terminal: the script's own has 24-bit colours, wherever it runs. PNG are windows of real terminals
+(`docs.real_terminals`).
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import os
 import sys
 import tempfile
 import time
+import traceback
 from collections.abc import Awaitable
 from html import unescape
 from importlib import import_module
@@ -142,17 +144,31 @@ def parts() -> dict[str, tuple[Path, Take]]:
     return found
 
 
+def problem_inside(take: Any, folder: Path) -> str:
+    """Take a part's pictures of the terminal that this process runs in. Return the problem, or an empty string."""
+    with tempfile.TemporaryDirectory() as config:
+        try:
+            asyncio.run(take.inside(Album(folder, Path(config))))
+        except BaseException:  # noqa: BLE001 -- the terminal closes, and nobody reads it
+            return traceback.format_exc()
+    return ""
+
+
 def main() -> None:
     """Take the pictures that the command line names."""
     parser = argparse.ArgumentParser(description=__doc__)
     known = parts()
     parser.add_argument("parts", nargs="*", metavar="PART", choices=[*known, []], help=f"of {', '.join(known)}")
     parser.add_argument("--folder", type=Path, help="instead of those of the documentation")
+    parser.add_argument("--inside", type=Path, metavar="REPORT", help=argparse.SUPPRESS)  # in the terminal of a picture
     arguments = parser.parse_args()
-    os.environ.pop("NO_COLOR", None)
-    os.environ |= TERMINAL
     # This process draws, drives and bridges: on a busy machine it may stand still for more than a lease's second.
     lease.LASTS = lease.SLOW = 5.0
+    if arguments.inside is not None:
+        arguments.inside.write_text(problem_inside(known[arguments.parts[0]][1], arguments.folder), encoding="utf-8")
+        return
+    os.environ.pop("NO_COLOR", None)
+    os.environ |= TERMINAL
     for part in arguments.parts or known:
         folder, take = known[part]
         with tempfile.TemporaryDirectory() as config:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import os
 import re
 import subprocess
 import sys
@@ -18,22 +19,47 @@ from rsb_console.actions.all_actions import ACTIONS
 ROOT = Path(__file__).parents[2]
 SCRIPT = ROOT / "docs/screenshots.py"
 OF_FEATURES = sorted(ROOT.glob("extras/rsb_extras/*/docs/*.py"))
-PICTURES = [each for folder in ("docs", "extras/rsb_extras/*/docs") for each in ROOT.glob(f"{folder}/pictures/*.svg")]
+FOLDERS = ("docs/pictures", "extras/rsb_extras/*/docs/pictures")
+PICTURES = [each for folder in FOLDERS for each in ROOT.glob(f"{folder}/*.svg")]
+WINDOWS = sorted(each for folder in FOLDERS for each in ROOT.glob(f"{folder}/*.png"))
+PAGES = [ROOT / "README.md", *ROOT.glob("docs/*.md"), *ROOT.glob("extras/rsb_extras/*/docs/*.md")]
+MOST_BYTES = 250_000
+"""Of a picture of a window: a clone has all of them, and the README shows one before its text."""
+TAKES = {"take": "svg", "keep": "svg", "photograph": "png"}
 
 
 def taken(script: Path) -> set[str]:
-    """Return the names of the pictures that a script takes."""
+    """Return the file names of the pictures that a script takes."""
     calls = [node for node in ast.walk(ast.parse(script.read_text(encoding="utf-8"))) if isinstance(node, ast.Call)]
     names = set()
     for call in calls:
-        if isinstance(call.func, ast.Attribute) and call.func.attr in ("take", "keep"):
-            names |= {each.value for each in call.args[:2] if isinstance(each, ast.Constant)}
-    return {name for name in names if isinstance(name, str)}
+        if isinstance(call.func, ast.Attribute) and (suffix := TAKES.get(call.func.attr)):
+            values = [each.value for each in call.args[:2] if isinstance(each, ast.Constant)]
+            names |= {f"{value}.{suffix}" for value in values if isinstance(value, str)}
+    return names
 
 
 @pytest.mark.parametrize("script", [SCRIPT, *OF_FEATURES], ids=lambda script: script.stem)
 def test_each_picture_is_taken_by_script_beside(script: Path) -> None:
-    assert taken(script) == {picture.stem for picture in (script.parent / "pictures").glob("*.svg")}
+    pictures = (script.parent / "pictures").iterdir()
+    assert taken(script) == {picture.name for picture in pictures if picture.suffix in (".svg", ".png")}
+
+
+@pytest.mark.parametrize("window", WINDOWS, ids=lambda window: window.stem)
+def test_window_is_small_and_in_colour(window: Path) -> None:
+    image = pytest.importorskip("PIL.Image")
+    assert window.stat().st_size <= MOST_BYTES
+    with image.open(window) as picture:
+        found = picture.convert("RGB").getcolors(1 << 24)
+    assert len([colour for _, colour in found if max(colour) - min(colour) > 40]) > 20, "make screenshots"
+
+
+@pytest.mark.parametrize("window", WINDOWS, ids=lambda window: window.stem)
+def test_window_is_shown_by_a_page(window: Path) -> None:
+    shown = {
+        (page.parent / name).resolve() for page in PAGES for name in re.findall(r"\]\(([^)]+\.png)\)", page.read_text())
+    }
+    assert window in shown
 
 
 def words_of(name: str) -> str:
@@ -61,6 +87,14 @@ def test_pictures_have_the_colours_of_their_theme(picture: Path) -> None:
     assert f"fill: {primary}" in picture.read_text(encoding="utf-8"), "make screenshots"
 
 
+def test_missing_terminal_leaves_its_pictures_out(tmp_path: Path) -> None:
+    command = (sys.executable, SCRIPT, "tiles", "--folder", tmp_path)
+    environment = {"PATH": str(tmp_path), "PYTHONPATH": os.pathsep.join(sys.path)}
+    ran = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=120, check=True)
+    assert "xvfb xterm imagemagick" in ran.stderr
+    assert not list(tmp_path.iterdir())
+
+
 def test_it_starts_and_names_its_parts() -> None:
     ran = subprocess.run((sys.executable, SCRIPT, "--help"), capture_output=True, text=True, timeout=120, check=True)
     assert "--folder" in ran.stdout
@@ -72,6 +106,6 @@ def test_it_takes_its_pictures(part: str, tmp_path: Path) -> None:
     """Without a terminal, and in 24-bit colours."""
     command = (sys.executable, SCRIPT, part, "--folder", tmp_path)
     subprocess.run(command, capture_output=True, env={"PATH": "/usr/bin:/bin", "TERM": "dumb"}, timeout=600, check=True)
-    pictures = {each.stem: each.read_text(encoding="utf-8") for each in tmp_path.glob("*.svg")}
+    pictures = {each.name for each in tmp_path.glob("*.svg")}
     assert pictures
-    assert set(pictures) <= {name for script in (SCRIPT, *OF_FEATURES) for name in taken(script)}
+    assert pictures <= {name for script in (SCRIPT, *OF_FEATURES) for name in taken(script)}
