@@ -37,7 +37,7 @@ SCRIPT = Path(__file__).with_name("screenshots.py")
 PACKAGES = {"Xvfb": "xvfb", "kitty": "kitty", "xterm": "xterm", "import": "imagemagick", "fc-list": "fonts-dejavu-core"}
 """Debian's and Ubuntu's packages of the programs, and of the font."""
 FONT = "DejaVu Sans Mono"
-PAPER = "#1e1e1e"
+PAPER = "#121212"
 """The background of the terminal, which has rows and columns of pixels beside its characters: the dark theme's."""
 SCREEN = "2000x1200x24"
 WITHIN = 420

@@ -62,7 +62,7 @@ class Pictures(Feature):
         from rsb_extras.pictures.confinement_check import confined  # noqa: PLC0415
         from rsb_extras.pictures.terminal_check import terminal  # noqa: PLC0415
 
-        return Check("pictures", "pictures", confined), Check("terminal", "terminal", terminal)
+        return Check("pictures", "pictures", confined), Check("images", "images", terminal)
 
     def console_settings(self) -> Iterable[ConsoleSetting[Any]]:
         from rsb_extras.pictures.layouts import LAYOUTS  # noqa: PLC0415

@@ -216,8 +216,7 @@ class Painter:
         parts += [self._freed(band) for number, band in before.items() if self._shown.get(number) is not band]
         self._is_lost = False
         drawn = "".join(parts)
-        # Shown at once: kitty takes an image away as its next one begins to come.
-        return f"\x1b[?2026h\x1b7{drawn}\x1b8\x1b[?2026l" if drawn else ""
+        return f"\x1b7{drawn}\x1b8" if drawn else ""
 
     def taken_away(self) -> str:
         """Return what takes the image away; sixels go with the text that is drawn over them."""

@@ -178,7 +178,7 @@ class PictureTile(Tile):
     def keys(self) -> list[str]:
         type_name = self.subject.type_name
         keys = [*(_MAP_KEYS if len(self._layers) > 1 else ()), *(_POINT_KEYS if _is_points(type_name) else ())]
-        keys += ["g goal"] if is_map(type_name) and _PUBLISH and not self.console.readonly else []
+        keys += ["g goal"] if self._is_map and _PUBLISH and not self.console.readonly else []
         return [*keys, *self.robot_keys(), *_KEYS]
 
     def fit(self) -> None:
@@ -275,6 +275,10 @@ class PictureTile(Tile):
         asked = LookAtTopics(self._viewer, self._topics, self._wish, self.subject.link)
         self._asked = engine.do(asked)
         return await asyncio.wrap_future(self._asked)
+
+    @property
+    def _is_map(self) -> bool:
+        return self._wish.how == "map" or (not self._wish.how and is_map(self.subject.type_name))
 
     @property
     def _topics(self) -> tuple[str, ...]:

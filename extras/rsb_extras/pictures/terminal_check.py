@@ -28,7 +28,7 @@ class TerminalText(Wording):
 def terminal() -> Iterator[Finding]:
     """Ask the terminal of this command."""
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
-        yield Finding("terminal", Grade.UNKNOWN, "terminal", TerminalText.NONE())
+        yield Finding("images", Grade.UNKNOWN, "images", TerminalText.NONE())
         return
     facts = facts_before_answers(os.environ, 1)
     if can_be_asked(os.environ):
@@ -45,4 +45,4 @@ def finding(facts: TerminalFacts) -> Finding:
     if not facts.pixels:
         remedy = TerminalText.MORE_PIXELS() if facts.colours == TRUE_COLOUR else TerminalText.MORE_COLOURS()
     data = {"name": facts.name, "colours": facts.colours, "cell": facts.cell, "pixels": facts.pixels}
-    return Finding("terminal", Grade.NOTE if remedy else Grade.OK, "terminal", text, remedy, data)
+    return Finding("images", Grade.NOTE if remedy else Grade.OK, "images", text, remedy, data)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from rich.cells import cell_len
 from textual.content import Content
 
+from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.text import escape_text
 from rsb_bridge.model.wording import Wording
 from rsb_console.actions.all_actions import ACTIONS, BY_ID
@@ -168,7 +169,8 @@ class LogTile(_LinesTile):
     def rows(self, height: int) -> list[Row]:
         if (engine := self.console.engine) is not None:
             last = self._events[-1].number if self._events else 0
-            self._events = [*self._events, *engine.events(last)][-_EVENTS:]
+            new = engine.events(last)
+            self._events = [*self._events, *(each for each in new if each.level is not Level.DEBUG)][-_EVENTS:]
         events = self._events[-height:]
         return [(Part(plain(each), LEVEL_LOOK[each.level]),) for each in events] or [
             (Part(TileText.NO_EVENTS(), "dim"),)

@@ -147,6 +147,8 @@ class ViewScreen(FullScreen[bool]):
         for tile in self.tiles:
             tile.turn(on=tile in shown)
         self._show_keys()
+        if self.pane.terminal.facts.pixels == "sixel":
+            self.app.refresh()  # sixels of the former layout go only with text that is drawn over them
 
     def _follow_box(self) -> None:
         """Lay out anew if the box beside the tiles has come, gone or grown."""
@@ -155,8 +157,9 @@ class ViewScreen(FullScreen[bool]):
 
     def _room(self) -> Spacing:
         """Return the room that a box beside the tiles takes."""
-        top = self.app.screen
-        return top.room(self.size) if isinstance(top, SideBox) else Spacing()
+        # A question on the box leaves it where it is.
+        boxes = (each for each in self.app.screen_stack if isinstance(each, SideBox))
+        return next((box.room(self.size) for box in boxes), Spacing())
 
     def on_descendant_focus(self, event: DescendantFocus) -> None:
         if isinstance(event.widget, Tile):

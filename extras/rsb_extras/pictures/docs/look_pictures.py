@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from typing import TYPE_CHECKING, Any, cast
 
-from docs.real_terminals import SIXEL, Camera, InTerminal, is_whole, xterm
+from docs.real_terminals import Camera, InTerminal, is_whole, kitty
 from docs.screenshots import FLOWING, NARROW, Album, states, until
 
 from rsb_bridge.model.snapshot import State
@@ -43,11 +43,9 @@ LAYOUTS = """
 layouts:
   robot:
     - {topic: /camera/image_raw, link: demo}
-    - {topics: [/map, /local_costmap/costmap, /scan, /plan], link: demo, rate: 5}
+    - {topics: [/map, /scan, /plan, /footprint], link: demo, rate: 5}
     - {topic: /odom, link: demo, as: plot, fields: [twist.twist.linear.x, twist.twist.angular.z], seconds: 30}
     - rates
-  camera:
-    - {topic: /camera/image_raw, link: demo, rate: 5}
 """
 FAULTS = {State.SLOW, State.LATE, State.STALE, State.DOWN}
 
@@ -86,5 +84,5 @@ def drives(view: ViewScreen) -> bool:
 
 PARTS = {
     "look": of_pictures,
-    "tiles": InTerminal("tiles", xterm(160, 44, *SIXEL), of_tiles, LAYOUTS),
+    "tiles": InTerminal("tiles", kitty(160, 44), of_tiles, LAYOUTS),
 }
