@@ -71,7 +71,7 @@ _PUBLISH = next((action.with_message for action in ACTIONS if action.with_messag
 _TURN = 15.0
 """Degrees by which a key turns a goal."""
 _GOAL_TOPIC = "/goal_pose"
-_SLOW, _MOST_STRAIN = 0.15, 2
+_SLOW, _MOST_STRAIN = 0.3, 2
 """s that a terminal may take for a picture, in which keys wait; and how often its resolution is halved."""
 _COST_OVER = 5.0
 """s over which the cost of a tile is measured."""
@@ -263,7 +263,7 @@ class PictureTile(Tile):
         before = self._strain
         if seconds > _SLOW:
             self._strain = min(_MOST_STRAIN, self._strain + 1)
-        elif seconds < _SLOW / 10:
+        elif seconds < _SLOW / 4:
             self._strain = max(0, self._strain - 1)
         if self._strain != before and self._shows_pixels:
             self.fit()
