@@ -91,7 +91,7 @@ def test_missing_terminal_leaves_its_pictures_out(tmp_path: Path) -> None:
     command = (sys.executable, SCRIPT, "tiles", "--folder", tmp_path)
     environment = {"PATH": str(tmp_path), "PYTHONPATH": os.pathsep.join(sys.path)}
     ran = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=120, check=True)
-    assert "xvfb xterm imagemagick" in ran.stderr
+    assert "xvfb kitty imagemagick" in ran.stderr
     assert not list(tmp_path.iterdir())
 
 

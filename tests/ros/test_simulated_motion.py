@@ -9,16 +9,16 @@ from geometry_msgs.msg import Twist
 
 from rsb_bridge.ros.simulation.path_planning import plan
 from rsb_bridge.ros.simulation.robot_motion import RESTS, Motion
-from rsb_bridge.ros.simulation.rooms import ROOMS, TOUR, Stop, is_free
+from rsb_bridge.ros.simulation.rooms import ROOMS, TOUR, Waypoint, is_free
 
 STEP = 0.05
-KITCHEN, OFFICE = Stop(-1.0, 3.0, 1.0), Stop(4.0, 2.5, 0.0)
+KITCHEN, OFFICE = Waypoint(-1.0, 3.0, 1.0), Waypoint(4.0, 2.5, 0.0)
 ROUND = 250.0
 """s for which the robot takes at the most to visit all places."""
 
 
 class Drive:
-    def __init__(self, start: Stop = TOUR[0]) -> None:
+    def __init__(self, start: Waypoint = TOUR[0]) -> None:
         self.now = 100.0
         self.motion = Motion(lambda: self.now, start)
 
@@ -40,7 +40,7 @@ class Drive:
             self.wait(0.1)
         return self.motion.pose()
 
-    def comes_to(self, place: Stop, seconds: float) -> bool:
+    def comes_to(self, place: Waypoint, seconds: float) -> bool:
         for _ in range(round(seconds)):
             x, y, heading = self.wait(1.0)
             turned = abs(math.remainder(heading - place.heading, math.tau))
@@ -70,7 +70,7 @@ def test_robot_rests_at_its_dock(robot: Drive) -> None:
 
 @pytest.mark.parametrize("start", TOUR)
 @pytest.mark.parametrize("goal", TOUR)
-def test_path_leads_through_free_space(start: Stop, goal: Stop) -> None:
+def test_path_leads_through_free_space(start: Waypoint, goal: Waypoint) -> None:
     path = plan(start[:2], goal[:2])
     assert all(is_free(x, y) for x, y in path)
     assert (tuple(path[0]), tuple(path[-1])) == (start[:2], goal[:2])
@@ -107,15 +107,17 @@ def test_older_goal_waits_until_robot_rests(robot: Drive) -> None:
 
 @pytest.mark.parametrize("wall", [(0.0, 1.2), (-7.2, 5.0), (30.0, 0.0), (-1000.0, -1e9)])
 def test_goal_in_wall_leads_beside_it(robot: Drive, wall: tuple[float, float]) -> None:
-    robot.motion.go(Stop(*wall, 0.0), decided=1.0)
+    robot.motion.go(Waypoint(*wall, 0.0), decided=1.0)
     robot.wait(1.0)
     end = robot.motion.path[-1]
     assert is_free(*end)
     robot.wait(60.0)
 
 
-@pytest.mark.parametrize("goal", [Stop(math.nan, 0.0, 0.0), Stop(0.0, math.inf, 0.0), Stop(0.0, 0.0, math.nan)])
-def test_goal_of_no_numbers_is_ignored(robot: Drive, goal: Stop) -> None:
+@pytest.mark.parametrize(
+    "goal", [Waypoint(math.nan, 0.0, 0.0), Waypoint(0.0, math.inf, 0.0), Waypoint(0.0, 0.0, math.nan)]
+)
+def test_goal_of_no_numbers_is_ignored(robot: Drive, goal: Waypoint) -> None:
     robot.motion.go(goal, decided=1.0)
     robot.wait(1.0)
     assert robot.motion.goal == TOUR[1]
@@ -155,7 +157,7 @@ def test_it_stays_in_its_room(robot: Drive, forward: float, turn: float) -> None
 
 
 def test_driven_robot_stops_before_wall() -> None:
-    robot = Drive(Stop(6.0, 0.0, 0.0))
+    robot = Drive(Waypoint(6.0, 0.0, 0.0))
     assert robot.drive(1.0, 0.0, 5.0) == pytest.approx((7.97 - 0.3, 0.0, 0.0), abs=0.11)
     assert robot.motion.velocity == (0.0, 0.0)
 
@@ -163,7 +165,7 @@ def test_driven_robot_stops_before_wall() -> None:
 @pytest.mark.parametrize("place", [(-3.05, 4.9), (7.3, 4.9), (-4.8, -4.8), (1.2, -5.4), (-7.5, -2.0), (7.5, -0.8)])
 def test_it_goes_on_from_anywhere(place: tuple[float, float]) -> None:
     """Furniture between it and its goal does not hold it."""
-    robot = Drive(Stop(*place, 0.0))
+    robot = Drive(Waypoint(*place, 0.0))
     robot.motion.go(TOUR[1], decided=1.0)
     robot.command(0.0)
     assert robot.wait(9.5)[:2] == place

@@ -7,7 +7,7 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
-from rsb_bridge.model.commands import Command
+from rsb_bridge.model.commands import Command, Effect
 from rsb_bridge.model.limits import TEXT_LENGTH
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.wire.records import Count, Name, Seconds
@@ -46,6 +46,7 @@ class KeepLast(Command[KeptRecording], frozen=True, tag="keep_last"):
         seconds: how many, or None for all that are kept.
     """
 
+    always = Effect.HARMLESS  # a new file beside others
     refreshes = False
     seconds: Annotated[float, Meta(gt=0)] | None = None
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rsb_bridge.ros.simulation.path_planning import STEP, plan
-from rsb_bridge.ros.simulation.rooms import DOCK, TOUR, Stop, is_free
+from rsb_bridge.ros.simulation.rooms import DOCK, TOUR, Waypoint, is_free
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -41,7 +41,7 @@ class Motion:
         wheels: m that its left and its right wheel have rolled.
     """
 
-    def __init__(self, now: Callable[[], float] = time.monotonic, start: Stop = TOUR[0]) -> None:
+    def __init__(self, now: Callable[[], float] = time.monotonic, start: Waypoint = TOUR[0]) -> None:
         self._now = now
         self.speed = SPEED
         self.velocity = 0.0, 0.0
@@ -63,7 +63,7 @@ class Motion:
             self.pose()
             self._commanded_velocity, self._commanded = (forward, turn), self._at
 
-    def go(self, goal: Stop, decided: float) -> None:
+    def go(self, goal: Waypoint, decided: float) -> None:
         """Take a goal, unless the robot is on its way to one that was decided on later (s): it is an old one, repeated.
 
         Coordinates that are infinite or no number are ignored.
@@ -81,7 +81,7 @@ class Motion:
         return self._path
 
     @property
-    def goal(self) -> Stop:
+    def goal(self) -> Waypoint:
         """The place that it goes to, or has reached."""
         return self._goal
 
@@ -132,7 +132,7 @@ class Motion:
         self._tour = (self._tour + 1) % len(TOUR)
         self._start(TOUR[self._tour])
 
-    def _start(self, goal: Stop) -> None:
+    def _start(self, goal: Waypoint) -> None:
         self._goal, self._reached = goal, None
         self._path = plan((self._x, self._y), goal[:2])
 
@@ -156,5 +156,5 @@ class Motion:
     def _turn(self, wrong: float) -> float:
         return max(-_TOP_TURN, min(_TOP_TURN, 2.5 * wrong))
 
-    def _is_at(self, place: Stop) -> bool:
+    def _is_at(self, place: Waypoint) -> bool:
         return math.dist(place[:2], (self._x, self._y)) < _AT

@@ -63,7 +63,7 @@ class Room(NamedTuple):
     floor: str
 
 
-class Stop(NamedTuple):
+class Waypoint(NamedTuple):
     """A pose that the robot visits."""
 
     x: float
@@ -83,17 +83,17 @@ ROOMS = (
 _HALL_DOORS = ((1.175, (-5.2, 0.0, 5.2)), (-1.175, (-5.5, 0.8, 5.5)))
 _ROOM_DOORS = ((-2.5, 1.25, 6.0, 3.0), (2.5, 1.25, 6.0, 2.6), (3.0, -6.0, -1.25, -3.6), (-3.0, -6.0, -1.25, None))
 """Walls across: x, lower and upper end, and the middle of the door, if there is one."""
-DOCK = Stop(6.25, -5.2, 1.2)
+DOCK = Waypoint(6.25, -5.2, 1.2)
 TOUR = (
-    Stop(-6.0, 0.0, 0.0),
-    Stop(-4.6, 3.4, 2.7),
-    Stop(-1.0, 3.4, 0.9),
-    Stop(4.6, 3.6, 0.3),
-    Stop(5.2, 0.0, math.pi),
+    Waypoint(-6.0, 0.0, 0.0),
+    Waypoint(-4.6, 3.4, 2.7),
+    Waypoint(-1.0, 3.4, 0.9),
+    Waypoint(4.6, 3.6, 0.3),
+    Waypoint(5.2, 0.0, math.pi),
     DOCK,
-    Stop(0.8, -3.0, -2.4),
-    Stop(0.0, 0.0, math.pi),
-    Stop(-5.2, -3.0, -2.2),
+    Waypoint(0.8, -3.0, -2.4),
+    Waypoint(0.0, 0.0, math.pi),
+    Waypoint(-5.2, -3.0, -2.2),
 )
 """The robot begins at the first place."""
 

@@ -28,7 +28,7 @@ from rsb_bridge.ros.simulation.rooms import (
     RESOLUTION,
     SIDE,
     TOUR,
-    Stop,
+    Waypoint,
     cell_of,
     costs,
     measured_ranges,
@@ -124,7 +124,7 @@ class SimulatedRobot(SimulatedNode):
         position, turn, stamp = goal.pose.position, goal.pose.orientation, goal.header.stamp
         heading = 2 * math.atan2(turn.z, turn.w)
         decided = stamp.sec + stamp.nanosec / 1e9
-        self._motion.go(Stop(position.x, position.y, heading), decided or time.time())
+        self._motion.go(Waypoint(position.x, position.y, heading), decided or time.time())
 
     def _scan(self, _: float) -> LaserScan:
         scan = LaserScan(angle_min=-math.pi, angle_max=math.pi, angle_increment=2 * math.pi / _BEAMS)

@@ -451,7 +451,7 @@ async def test_what_the_robot_has_in_hand_is_shown(app: ConsoleApp, pilot: Pilot
         ((0.0, 0.0), DriveText.RESTS()),
     ]:
         put(app, replace(ARMED, arming=replace(ARMED.arming, velocity=given)))
-        await shown(pilot, DriveText.IN_HAND(link=ARMED.link, motion=motion))
+        await shown(pilot, DriveText.IN_HAND, link=ARMED.link, motion=motion)
 
 
 @driven()
@@ -595,10 +595,10 @@ async def test_refusal_is_gone_once_another_operator_holds_topic(
 
 @driven()
 async def test_a_multiplexer_asks_for_held_keys(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> None:
-    screen = app.screen
-    assert isinstance(screen, DriveScreen)
+    assert isinstance(app.screen, DriveScreen)
+    assert not is_shown(app, "to drive")
     app.input_gate.pulse = Pulse({"TMUX": "1"})
-    await until(pilot, lambda: "hold" in str(screen.query_one("#drive").border_subtitle), "the keys")
+    await shown(pilot, "to drive")
 
 
 # -- limits
