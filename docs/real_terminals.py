@@ -103,7 +103,16 @@ class InTerminal:
         """Run the terminal until its pictures are taken. Return the problem, or an empty string."""
         with tempfile.TemporaryDirectory() as name, screen() as display:
             report = Path(name, "report")  # a terminal does not tell how its command ended
-            script: tuple[str | Path, ...] = (sys.executable, SCRIPT, self.part, "--folder", folder, "--inside", report)
+            script: tuple[str | Path, ...] = (
+                sys.executable,
+                "-P",
+                SCRIPT,
+                self.part,
+                "--folder",
+                folder,
+                "--inside",
+                report,
+            )
             kept = {name: value for name, value in os.environ.items() if name not in OF_OTHER_TERMINALS}
             environment = {**kept, "DISPLAY": display, "LIBGL_ALWAYS_SOFTWARE": "1"}
             subprocess.run(

@@ -64,7 +64,7 @@ def test_pictures_show_this_version() -> None:
         )
         for picture in PICTURES
     }
-    assert shown["main.svg"]
+    assert any(shown.values())
     for name, versions in shown.items():
         current = {VERSION} if UNRELEASED else {NUMBER, f"{NUMBER}.dev0"}  # a release keeps its earlier entries
         assert set(versions) <= current, f"{name}: make screenshots"
