@@ -179,12 +179,12 @@ class TerminalApp(App[ReturnType]):
 
     @property
     def is_behind(self) -> bool:
-        """Whether the terminal reads so slowly that what is written is dropped. The screen is drawn anew after that."""
+        """Whether the terminal reads so slowly that frames are dropped. The whole screen follows later."""
         return isinstance(self._driver, ConsoleDriver) and self._driver.is_behind
 
     @property
     def losses(self) -> int:
-        """How often the terminal may have lost what was drawn: it was cleared, or missed some of it."""
+        """Number of times that the terminal was cleared or missed a frame."""
         return self._driver.losses if isinstance(self._driver, ConsoleDriver) else 0
 
     def write_to_terminal(self, sequence: str) -> None:
@@ -225,7 +225,7 @@ class TerminalApp(App[ReturnType]):
 
     @work
     async def tell_desktop(self, title: str, text: str) -> None:
-        """Show a notification on the operator's desktop, if the terminal is known to pass it on."""
+        """Show a notification on the operator's desktop by way of the terminal, if it supports that."""
         made = await asyncio.to_thread(desktop_notification.sequence, os.environ, self.facts.name, title, text)
         if made and isinstance(self._driver, ConsoleDriver):
             self._driver.write(made)
@@ -284,7 +284,7 @@ class TerminalApp(App[ReturnType]):
         self.action_command_palette()
 
     def suit_terminal(self, facts: TerminalFacts) -> None:
-        """Take what the terminal has told of itself: draw with its colours, in a theme for them."""
+        """Draw with the colours that the terminal has, in a theme for them."""
         facts = self.preferences.terminal.over(facts)
         had, self.facts = self.facts.colours, facts
         if facts.colours > had:

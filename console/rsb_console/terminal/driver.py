@@ -218,7 +218,7 @@ class ConsoleDriver(LinuxDriver):
 
     Attributes:
         is_behind: whether it drops them.
-        losses: how often the terminal may have lost what was drawn.
+        losses: number of times that the terminal was cleared or missed a frame.
     """
 
     def __init__(self, app: Any, **options: Any) -> None:

@@ -1,4 +1,4 @@
-"""What a terminal can show, by its own answers: colours, images, the pixels of a cell, its background and its name.
+"""A terminal's abilities by its own answers: colours, images, the pixels of a cell, its background and its name.
 
 TERM and COLORTERM tell less: SSH carries only the first, and most terminals call themselves xterm. The answers come
 among the keys, at any time or never, so nobody waits for them, and the console begins with what TERM says.
@@ -43,7 +43,7 @@ QUESTIONS: Final = (
     "\x1b_Gi=31,s=1,v=1,a=q,t=d,f=24;AAAA\x1b\\"  # whether kitty's graphics could show a pixel
     "\x1b[c"  # DA1, last: everyone answers it
 )
-"""For a terminal that has told its kind (DA2). GNU screen would print a part of them (`can_be_asked_more`)."""
+"""For terminals of a known kind (DA2). GNU screen would print a part of them (`can_be_asked_more`)."""
 _TERMINALS: Final = (
     "xterm", "rxvt", "screen", "tmux", "konsole", "gnome", "vte", "putty", "foot", "alacritty", "wezterm", "mlterm",
     "contour",
@@ -163,7 +163,7 @@ class TerminalFacts:
 
 
 class TerminalSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What the user knows better than the terminal tells, or None.
+    """The user's corrections of a terminal's answers, or None.
 
     Attributes:
         colours: the number, or true for true colours.
@@ -245,7 +245,7 @@ def ask(facts: TerminalFacts, read_from: int, write_to: int) -> TerminalFacts:
 
 
 def _answer(questions: str, read_from: int, write_to: int) -> str:
-    """Write questions, the last of which everyone answers, and return what comes until then, but not for long."""
+    """Write questions, and return the answers up to that to the last one, which all terminals give."""
     answer, deadline = "", time.monotonic() + _ANSWERS_WITHIN
     os.write(write_to, questions.encode())
     while _DEVICE.search(answer) is None and (left := deadline - time.monotonic()) > 0:
