@@ -8,23 +8,19 @@ from typing import TYPE_CHECKING, ClassVar
 
 from textual import on, work
 from textual.binding import Binding
-from textual.screen import ModalScreen
 from textual.widgets import Input
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.text import escape_text
 from rsb_bridge.model.wording import Wording
-from rsb_console.screens.dialog import Dialog
-from rsb_console.widgets.filter import RowFilter
-from rsb_console.widgets.picker import Suggestion, SuggestionList
+from rsb_console.widgets.picker import Suggestion
 from rsb_extras.pictures.look_requests import EndLook, LookAtTopics
 from rsb_extras.pictures.picture import TOPICS_AT_ONCE, Wish, field_of, split_field
 from rsb_extras.pictures.plots import MOST_CURVES
+from rsb_extras.pictures.search_screen import SearchScreen
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-
-    from textual.app import ComposeResult
 
     from rsb_bridge.model.snapshot import TopicInfo
     from rsb_console.console_api import Console
@@ -59,7 +55,7 @@ class _Search(Input):
         return key != "space" and super().check_consume_key(key, character)
 
 
-class FieldChooser(ModalScreen[tuple[str, ...]]):
+class FieldChooser(SearchScreen[tuple[str, ...]]):
     """Lists the numbers in a view's topics with their values, and further topics of that side.
 
     The result is None, or paths as `Wish.fields` has them: with their topics if those are several.
@@ -68,18 +64,10 @@ class FieldChooser(ModalScreen[tuple[str, ...]]):
         chosen: the paths that are plotted now.
     """
 
-    BINDINGS: ClassVar = [
-        Binding("escape", "dismiss", show=False),
-        Binding("up", "move(-1)", show=False),
-        Binding("down", "move(1)", show=False),
-        Binding("pageup", "page(-1)", show=False),
-        Binding("pagedown", "page(1)", show=False),
-        Binding("space", "choose", show=False, priority=True),
-    ]
-    AUTO_FOCUS = "Input"
+    BINDINGS: ClassVar = [Binding("space", "choose", show=False, priority=True)]
 
     def __init__(self, console: Console, subject: Subject, chosen: tuple[str, ...]) -> None:
-        super().__init__()
+        super().__init__("", _KEYS, _Search(id="field-search"))
         self.console = console
         self._link = subject.link
         self._viewer = secrets.token_hex(8)
@@ -93,13 +81,8 @@ class FieldChooser(ModalScreen[tuple[str, ...]]):
         self._rows: dict[str, tuple[str, str]] = {}
         """Topic and path of each row, by its key."""
 
-    def compose(self) -> ComposeResult:
-        self.text, self.list = _Search(id="field-search"), SuggestionList()
-        self.dialog = Dialog("", self.text, self.list, keys=_KEYS, shape="-high")
-        yield self.dialog
-
     def on_mount(self) -> None:
-        self._list()
+        self._count()
         self._follow()
         self._ask_topics()
 
@@ -118,14 +101,14 @@ class FieldChooser(ModalScreen[tuple[str, ...]]):
                 viewed = await asyncio.wrap_future(asked)
             except EngineError as error:
                 self._problem = str(error)
-                self._list()
+                self.relist()
                 await asyncio.sleep(_TRIED_AGAIN_AFTER)
                 continue
             if viewed is not None:
                 self._link = self._link or viewed.where
                 self._numbers = viewed.picture.numbers
                 self._problem = viewed.picture.problem or viewed.picture.waiting
-                self._list()
+                self.relist()
 
     @work
     async def _ask_topics(self) -> None:
@@ -136,17 +119,13 @@ class FieldChooser(ModalScreen[tuple[str, ...]]):
             except EngineError:  # the numbers' question says why
                 found = self._others
             self._others = tuple(each for each in found if each.kind == "topic" and each.publishers)
-            self._list()
+            self.relist()
             await asyncio.sleep(_ASKED_EVERY)
 
-    @on(Input.Changed)
-    def _list(self) -> None:
-        self.dialog.border_title = ChooserText.TITLE(count=len(self._chosen), most=MOST_CURVES)
-        waits = not self._numbers
-        empty = self._problem or (ChooserText.WAITING() if waits else ChooserText.NONE())
-        self.list.show(list(self._suggestions()), RowFilter.or_plain(self.text.value), escape_text(empty))
+    def why_empty(self) -> str:
+        return self._problem or (ChooserText.NONE() if self._numbers else ChooserText.WAITING())
 
-    def _suggestions(self) -> Iterator[Suggestion]:
+    def suggestions(self) -> Iterator[Suggestion]:
         self._rows = {}
         types = {each.topic: each.type_name for each in self._others}
         for topic in self._topics:
@@ -183,7 +162,12 @@ class FieldChooser(ModalScreen[tuple[str, ...]]):
             self.notify(ChooserText.TOO_MANY(most=MOST_CURVES), severity="warning", markup=False)
         else:
             self._chosen[row] = None
-        self._list()
+        self._count()
+
+    def _count(self) -> None:
+        """Show what is chosen, and how many."""
+        self.dialog.border_title = ChooserText.TITLE(count=len(self._chosen), most=MOST_CURVES)
+        self.relist()
 
     def _open(self, topic: str) -> None:
         if topic in self._topics:
@@ -207,9 +191,3 @@ class FieldChooser(ModalScreen[tuple[str, ...]]):
 
     def on_selectable_list_chosen(self) -> None:
         self.action_choose()
-
-    def action_move(self, step: int) -> None:
-        self.list.move_to(self.list.position + step)
-
-    def action_page(self, step: int) -> None:
-        self.list.move_to(self.list.position + step * self.list.page)

@@ -3,28 +3,23 @@
 from __future__ import annotations
 
 import asyncio
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 from textual import on, work
-from textual.binding import Binding
-from textual.screen import ModalScreen
 from textual.widgets import Input
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.names import other_side
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import escape_text
-from rsb_console.screens.dialog import Dialog
-from rsb_console.widgets.filter import RowFilter
-from rsb_console.widgets.picker import Suggestion, SuggestionList
+from rsb_console.widgets.picker import Suggestion
 from rsb_extras.pictures.drawing import has_picture, is_layer, is_map
 from rsb_extras.pictures.layouts import LOG, RATES, Subject, layouts_for
 from rsb_extras.pictures.picture import Wish
+from rsb_extras.pictures.search_screen import SearchScreen
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-
-    from textual.app import ComposeResult
 
     from rsb_bridge.model.snapshot import TopicInfo
     from rsb_console.console_api import Console
@@ -42,32 +37,19 @@ _ASKED_EVERY = 3.0
 """s between two questions to all sides. A round figure: each asks for the whole graph, over the link."""
 
 
-class LookScreen(ModalScreen[tuple[Subject, ...]]):
+class LookScreen(SearchScreen[tuple[Subject, ...]]):
     """Lists layouts, the topics of all sides, of which those with a picture come first, and tiles without a topic."""
 
-    BINDINGS: ClassVar = [
-        Binding("escape", "dismiss", show=False),
-        Binding("up", "move(-1)", show=False),
-        Binding("down", "move(1)", show=False),
-        Binding("pageup", "page(-1)", show=False),
-        Binding("pagedown", "page(1)", show=False),
-    ]
-    AUTO_FOCUS = "Input"
-
     def __init__(self, console: Console) -> None:
-        super().__init__()
+        super().__init__("Look at a topic", _KEYS, Input(id="look-search"))
         self.console = console
         self._found: dict[str, tuple[TopicInfo, ...]] = {}
         self._subjects: dict[str, tuple[Subject, ...]] = {}
         self._problems: list[str] = []
         self._asking = True
 
-    def compose(self) -> ComposeResult:
-        self.text, self.list = Input(id="look-search"), SuggestionList()
-        yield Dialog("Look at a topic", self.text, self.list, keys=_KEYS, shape="-high")
-
     def on_mount(self) -> None:
-        self._list()
+        self.relist()
         self._ask()
 
     @work
@@ -85,19 +67,17 @@ class LookScreen(ModalScreen[tuple[Subject, ...]]):
                 # The first time, each side is shown as it answers: a slow one must not hold up the others.
                 if self._asking:
                     self._found = {**found}
-                    self._list()
+                    self.relist()
             if (found, problems) != (self._found, self._problems) or self._asking:
                 self._found, self._problems, self._asking = found, problems, False
-                self._list()
+                self.relist()
             await asyncio.sleep(_ASKED_EVERY)
 
-    @on(Input.Changed)
-    def _list(self) -> None:
+    def why_empty(self) -> str:
         problems = "".join(f"; {problem}" for problem in self._problems)
-        empty = "asking both sides …" if self._asking else f"no topic that matches has a publisher{problems}"
-        self.list.show(list(self._suggestions()), RowFilter.or_plain(self.text.value), escape_text(empty))
+        return "asking both sides …" if self._asking else f"no topic that matches has a publisher{problems}"
 
-    def _suggestions(self) -> Iterator[Suggestion]:
+    def suggestions(self) -> Iterator[Suggestion]:
         found = [
             (side, info)
             for side, infos in self._found.items()
@@ -169,9 +149,3 @@ class LookScreen(ModalScreen[tuple[Subject, ...]]):
 
     def on_selectable_list_chosen(self) -> None:
         self._choose()
-
-    def action_move(self, step: int) -> None:
-        self.list.move_to(self.list.position + step)
-
-    def action_page(self, step: int) -> None:
-        self.list.move_to(self.list.position + step * self.list.page)
