@@ -31,8 +31,7 @@ MAY_START = {
     "extras/rsb_extras/pictures/renderer.py",
     # They run what the operator wrote, in the folder where the operator started the console; and tmux by its path.
     "extras/rsb_extras/own_commands/interactive.py", "extras/rsb_extras/own_commands/running.py",
-    "console/rsb_console/terminal/desktop_notification.py", "console/rsb_console/terminal/terminal_facts.py",
-    "console/rsb_console/child.py", "console/rsb_console/terminal/driver.py", "deb/build.py", "docs/real_terminals.py",
+    "console/rsb_console/terminal/tmux.py", "console/rsb_console/child.py", "deb/build.py", "docs/real_terminals.py",
 }  # fmt: skip
 """Modules that start children. A new one belongs here once its child does not look into its working folder."""
 

@@ -135,5 +135,5 @@ ARGCOMPLETE = Place("rsb_console.command.completion", "argcomplete.autocomplete"
 ARGCOMPLETE_DEBUG_STREAM = Place("argcomplete", "CompletionFinder._init_debug_stream")
 TARGET_PRINT_LINE = Place("rsb_console.command.target", "print_line")
 DEADMAN_KEEP = Place("rsb_console.operations.deadman", "Deadman.keep")
-RUN_TMUX = Place("rsb_console.terminal.driver", "subprocess.run")
+RUN_TMUX = Place("rsb_console.terminal.tmux", "subprocess.run")
 SIMULATED_CALL_SERVICE = Place("tests.simulation.node", "Node.call_service")

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import shutil
-import subprocess
 from typing import TYPE_CHECKING, Final
 
 from rsb_bridge.model.text import sanitize_text
+from rsb_console.terminal.tmux import told_by_tmux
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
 _TITLE_LENGTH, _TEXT_LENGTH = 80, 200  # characters; desktops show fewer
-_ANSWERS_WITHIN = 1.0  # s, for tmux: a round figure
 _PASSES_NOTHING: Final = ("0", "off")
 """Of the option allow-passthrough; tmux before 3.3 does not know it, and passes all on."""
 _ASKED: Final = "#{client_termname} #{client_termtype}\n#{allow-passthrough}"
@@ -41,7 +39,7 @@ _BY_NAME: Final[Mapping[str, Callable[[str, str], str]]] = {
 def names_of_terminal(environ: Mapping[str, str], name: str) -> tuple[str, bool]:
     """Return the names of the terminal that the operator sees, as far as they are known, and whether tmux is before it.
 
-    Within tmux that is tmux's own terminal, or none if tmux passes nothing on to it. It takes up to `_ANSWERS_WITHIN`.
+    Within tmux that is tmux's own terminal, or none if tmux passes nothing on to it. It may take a second.
 
     Args:
         name: the terminal's own (`rsb_console.terminal.terminal_facts.TerminalFacts.name`).
@@ -49,17 +47,7 @@ def names_of_terminal(environ: Mapping[str, str], name: str) -> tuple[str, bool]
     if not environ.get("TMUX"):
         kitty = "kitty" if environ.get("KITTY_WINDOW_ID") else ""
         return f"{name} {environ.get('TERM', '')} {environ.get('TERM_PROGRAM', '')} {kitty}".lower(), False
-    tmux = shutil.which("tmux")
-    if tmux is None:
-        return "", True
-    try:
-        command = [tmux, "display-message", "-p", "-t", environ.get("TMUX_PANE", ""), _ASKED]
-        ran = subprocess.run(  # noqa: S603 -- no shell; the program is tmux
-            command, capture_output=True, text=True, errors="replace", timeout=_ANSWERS_WITHIN, check=True
-        )
-    except (subprocess.SubprocessError, OSError):
-        return "", True
-    names, _, passes = ran.stdout.partition("\n")
+    names, _, passes = told_by_tmux(environ, _ASKED).partition("\n")
     return (names.lower() if passes.strip() not in _PASSES_NOTHING else ""), True
 
 

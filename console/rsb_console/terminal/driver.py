@@ -5,8 +5,6 @@ from __future__ import annotations
 import contextlib
 import os
 import select
-import shutil
-import subprocess
 import sys
 import threading
 import time
@@ -24,6 +22,7 @@ from textual.screen import Screen
 
 from rsb_console.terminal import terminal_facts
 from rsb_console.terminal.pulse import KIND, WHO_ARE_YOU, Pulse, without_answers
+from rsb_console.terminal.tmux import tmux
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -400,14 +399,8 @@ def copy(app: App[object], text: str) -> str:
     """Copy a text, and return a note for the operator."""
     line = text[: _SHOWN + 1].partition("\n")[0]
     beginning = line if len(line) <= _SHOWN else f"{line[:_SHOWN]}…"
-    tmux = shutil.which("tmux") if os.environ.get("TMUX") else None
-    if tmux is not None:  # tmux passes OSC 52 on only if set-clipboard is on; this always fills its own buffer
-        command = [tmux, "load-buffer", "-w", "-"]
-        try:
-            subprocess.run(command, input=text.encode(), timeout=2, check=True, capture_output=True)  # noqa: S603 -- no shell; the program is tmux
-        except (subprocess.SubprocessError, OSError):  # on a busy machine it may not answer in time
-            pass
-        else:
-            return f"copied to tmux: {beginning}"
+    # tmux passes OSC 52 on only if set-clipboard is on; this always fills its own buffer.
+    if tmux(os.environ, "load-buffer", "-w", "-", text=text, within=2.0) is not None:
+        return f"copied to tmux: {beginning}"
     app.copy_to_clipboard(text)
     return f"copied: {beginning}"

@@ -14,7 +14,6 @@ import os
 import re
 import select
 import struct
-import subprocess
 import termios
 import time
 import tty
@@ -26,6 +25,7 @@ import msgspec
 
 from rsb_console.notation.console_setting import placed
 from rsb_console.terminal.pulse import KIND, WHO_ARE_YOU
+from rsb_console.terminal.tmux import told_by_tmux
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -81,7 +81,6 @@ _TRUE_COLOUR_ANSWER: Final = re.compile(r"48[:;]2[:;]+1[:;]2[:;]3(?!\d)")
 _SIXEL: Final = "4"
 _WEIGHTS: Final = (0.299, 0.587, 0.114)
 """Of red, green and blue in the brightness (ITU-R BT.601)."""
-_TMUX_WITHIN: Final = 1.0  # s; it answers in some ms
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,7 +217,10 @@ def facts_before_answers(environ: Mapping[str, str], terminal: int) -> TerminalF
     term = environ.get("TERM", "")
     if term in ("", "dumb", "unknown"):
         colours = 0
-    elif environ.get("COLORTERM", "").strip().lower() in ("truecolor", "24bit") or _tmux_has_true_colour(environ):
+    elif environ.get("COLORTERM", "").strip().lower() in ("truecolor", "24bit"):
+        colours = TRUE_COLOUR
+    elif "RGB" in told_by_tmux(environ, "#{client_termfeatures}").strip().split(","):
+        # tmux tells programs nothing of the terminal around it, to which it passes true colours on.
         colours = TRUE_COLOUR
     elif "256" in term or term in ("xterm-kitty", "foot", "alacritty", "wezterm", "xterm-ghostty"):
         colours = 256
@@ -260,20 +262,6 @@ def _cell_by_kernel(terminal: int) -> tuple[float, float] | None:
         if rows and columns and width and height:
             return width / columns, height / rows
     return None
-
-
-def _tmux_has_true_colour(environ: Mapping[str, str]) -> bool:
-    """Whether tmux, which tells programs nothing of the terminal around it, passes true colours on to that."""
-    if not environ.get("TMUX"):
-        return False
-    try:
-        asked = subprocess.run(
-            ["tmux", "display-message", "-p", "#{client_termfeatures}"],  # noqa: S607 -- the tmux of PATH, as in `copy`
-            capture_output=True, text=True, timeout=_TMUX_WITHIN, check=True, env={**os.environ, **environ},
-        )  # fmt: skip
-    except (OSError, subprocess.SubprocessError):
-        return False
-    return "RGB" in asked.stdout.split(",")
 
 
 def _brightness(rgb: str) -> float:
