@@ -11,6 +11,7 @@ import base64
 import io
 import math
 import re
+import secrets
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
     from rsb_console.terminal.terminal_facts import Pixels as Protocol
+    from rsb_console.terminal.terminal_facts import TerminalFacts
     from rsb_extras.pictures.picture import Pixels, Wish
 
 BANDS = 8
@@ -61,6 +63,11 @@ def why_no_graphics(protocol: str) -> str:
     if all(find_spec(each) for each in needs):
         return ""
     return f"{protocol} images need Pillow and textual-image: pip install 'rsb-console[look]'"
+
+
+def protocol_of(facts: TerminalFacts) -> Protocol:
+    """Return how this program shows images on a terminal, or an empty string if in characters."""
+    return "" if why_no_graphics(facts.pixels) else facts.pixels
 
 
 class Extent(NamedTuple):
@@ -178,10 +185,15 @@ def sixels(image: Image) -> str:
 
 
 class Painter:
-    """Shows an image in a region of the screen, and sends only the bands that the terminal lacks."""
+    """Shows an image in a region of the screen, and sends only the bands that the terminal lacks.
+
+    Attributes:
+        first_id: kitty's first number of its bands, by chance: images of others stay on the screen.
+    """
 
     def __init__(self, protocol: Protocol) -> None:
         self._protocol = protocol
+        self.first_id = secrets.randbelow(1 << 27) * IDS + 1
         self._at = (0, 0)
         self._shown: dict[int, Band] = {}
         self._is_lost = False

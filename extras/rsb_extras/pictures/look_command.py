@@ -9,10 +9,11 @@ import shutil
 import sys
 import time
 from concurrent.futures import wait
-from typing import TYPE_CHECKING, Literal
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import msgspec
-from rich.console import COLOR_SYSTEMS, Console
+from rich.console import COLOR_SYSTEMS
 from rich.style import Style
 
 from rsb_bridge.api import EngineError
@@ -26,12 +27,12 @@ from rsb_console.notation import formats
 from rsb_console.notation.glyphs import to_ascii
 from rsb_console.terminal.terminal_facts import ask, facts_before_answers
 from rsb_extras.pictures.blocks import image_rows, wished_pixels
-from rsb_extras.pictures.graphics import IDS, USUAL_CELL, Painter, bands_of, frame_of, why_no_graphics
+from rsb_extras.pictures.graphics import USUAL_CELL, Painter, bands_of, frame_of, protocol_of, why_no_graphics
 from rsb_extras.pictures.look_requests import EndLook, LookAtTopics
 from rsb_extras.pictures.paper import Paper
-from rsb_extras.pictures.picture import MOST_ACROSS, MOST_COLUMNS, MOST_DOWN, MOST_ROWS, Picture, Pixels, Wish, in_full
+from rsb_extras.pictures.picture import Picture, Pixels, Wish, in_full, sized
 from rsb_extras.pictures.picture_files import FORMATS, picture_file
-from rsb_extras.pictures.picture_rows import COLOURS, UnreadableError, picture_rows, reads_webp
+from rsb_extras.pictures.picture_rows import UnreadableError, picture_rows, reads_webp
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -43,7 +44,6 @@ if TYPE_CHECKING:
     from rsb_extras.pictures.picture import Viewed
     from rsb_extras.pictures.picture_rows import Row
 
-Graphics = Literal["kitty", "sixel", "blocks"]
 _ANSWERED_WITHIN = 60.0  # s, as the help of --timeout says
 _TRIED_AGAIN_AFTER = 1.0  # s. A round figure
 _REDRAWN_AFTER = 1.0  # s; the age in sight is wrong by so much at most
@@ -83,11 +83,13 @@ def look(arguments: Namespace) -> int:
     facts = facts_before_answers(os.environ, 1)
     if sys.stdin.isatty() and sys.stdout.isatty() and file is None and not arguments.json and not arguments.ascii:
         facts = ask(facts, 0, 1)  # before anything else reads standard input
+    if arguments.ascii or "NO_COLOR" in os.environ or not sys.stdout.isatty():
+        facts = replace(facts, colours=0)
     arguments.facts = facts
     if file is not None or arguments.json or (arguments.graphics == "auto" and arguments.ascii):
         arguments.graphics = "blocks"
     elif arguments.graphics == "auto":
-        arguments.graphics = _graphics(facts)
+        arguments.graphics = protocol_of(facts) or "blocks"
     elif problem := why_no_graphics(arguments.graphics):
         raise UsageError(problem)
     viewer = secrets.token_hex(8)
@@ -174,7 +176,7 @@ def _print(viewed: Viewed, wish: Wish, arguments: Namespace) -> None:
             raise EngineError(str(error)) from None
         print_line(_status(viewed))
         return
-    console, rows = _console(arguments), _rows(viewed, wish, arguments)
+    rows = _rows(viewed, wish, arguments)
     if arguments.json:
         print_line(
             json_line(
@@ -194,13 +196,12 @@ def _print(viewed: Viewed, wish: Wish, arguments: Namespace) -> None:
         )
         return
     for row in rows:
-        sys.stdout.write(f"{_encoded(console, row, ascii_only=arguments.ascii)}\n")
+        sys.stdout.write(f"{_encoded(row, arguments.facts, ascii_only=arguments.ascii)}\n")
     print_line(_status(viewed))
 
 
 def many(engine: RemoteEngine, viewer: str, arguments: Namespace) -> int:
     """Draw pictures until an interrupt."""
-    console = _console(arguments)
     printer = None if arguments.graphics == "blocks" else ImagePrinter(arguments.graphics, arguments.facts)
     sys.stdout.write(_ENTER)
     try:
@@ -228,7 +229,7 @@ def many(engine: RemoteEngine, viewer: str, arguments: Namespace) -> int:
                     drawn, painted = image, printer.printed(image, wish)
                 elif viewed is not None and image is None:
                     lines = [
-                        _encoded(console, _cut(row, wish.width), ascii_only=arguments.ascii)
+                        _encoded(_cut(row, wish.width), arguments.facts, ascii_only=arguments.ascii)
                         for row in _rows(viewed, wish, arguments)
                     ]
             except (EngineError, UnreadableError) as error:  # the picture is damaged
@@ -255,8 +256,6 @@ def many(engine: RemoteEngine, viewer: str, arguments: Namespace) -> int:
 def _wish(arguments: Namespace) -> Wish:
     size = shutil.get_terminal_size((80, 24))
     wish = Wish(
-        width=max(1, min(MOST_COLUMNS, arguments.width or size.columns)),
-        height=max(1, min(MOST_ROWS, arguments.height or size.lines - 1)),
         rate=arguments.rate,
         how=arguments.how or ("plot" if arguments.field else ""),
         fields=tuple(arguments.field),
@@ -271,23 +270,17 @@ def _wish(arguments: Namespace) -> Wish:
     is_file = arguments.output is not None and arguments.output.suffix == ".png"
     facts = arguments.facts
     if is_file:
-        across, down = (6, 12) if arguments.width or arguments.height else (MOST_ACROSS, MOST_DOWN)
-        wish = wish if arguments.width or arguments.height or arguments.detail else in_full(wish)
+        across, down = 6, 12
     elif arguments.graphics != "blocks":
         across, down = (round(each) for each in facts.cell or USUAL_CELL)
     else:
-        across, down = wished_pixels(_colours(arguments), sextants=facts.draws_sextants)
+        across, down = wished_pixels(facts.colours, sextants=facts.draws_sextants)
     if arguments.detail and (is_file or arguments.graphics != "blocks"):
         # Characters show what they can; more would cross the link for nothing.
         across, down = arguments.detail, round(arguments.detail * facts.shape)
-    return msgspec.structs.replace(
-        wish, across=max(1, min(MOST_ACROSS, across)), down=max(1, min(MOST_DOWN, down)), shape=facts.shape
-    )
-
-
-def _colours(arguments: Namespace) -> int:
-    """Return how many colours the terminal has, 0 for none."""
-    return COLOURS[_console(arguments).color_system]
+    width, height = arguments.width or size.columns, arguments.height or size.lines - 1
+    wish = sized(wish, width, height, across, down, facts.shape)
+    return in_full(wish) if is_file and not (arguments.width or arguments.height or arguments.detail) else wish
 
 
 def _rows(viewed: Viewed, wish: Wish, arguments: Namespace) -> list[Row]:
@@ -297,8 +290,8 @@ def _rows(viewed: Viewed, wish: Wish, arguments: Namespace) -> list[Row]:
     try:
         if isinstance(content, Pixels):
             sextants = arguments.facts.draws_sextants
-            return image_rows(content, wish.width, wish.height, colours=_colours(arguments), sextants=sextants)
-        return picture_rows(content, wish.width, wish.height, colours=_colours(arguments))
+            return image_rows(content, wish.width, wish.height, colours=arguments.facts.colours, sextants=sextants)
+        return picture_rows(content, wish.width, wish.height, colours=arguments.facts.colours)
     except UnreadableError as error:
         raise EngineError(str(error)) from None
 
@@ -312,16 +305,9 @@ def _cut(row: Row, width: int) -> Row:
     return tuple(parts)
 
 
-def _console(arguments: Namespace) -> Console:
-    """Return rich's idea of this terminal, which changes colours to ones that it has."""
-    if arguments.ascii or "NO_COLOR" in os.environ or not (arguments.facts.colours and sys.stdout.isatty()):
-        return Console(color_system=None)
-    return Console(color_system=arguments.facts.colour_system)
-
-
-def _encoded(console: Console, row: Row, *, ascii_only: bool) -> str:
-    """Return a row with escape sequences for the terminal's colours."""
-    system = None if console.color_system is None else COLOR_SYSTEMS[console.color_system]
+def _encoded(row: Row, facts: TerminalFacts, *, ascii_only: bool) -> str:
+    """Return a row with escape sequences for a terminal's colours."""
+    system = COLOR_SYSTEMS[facts.colour_system] if facts.colours else None
     ascii_only |= not (sys.stdout.encoding or "").lower().startswith("utf")
     parts = []
     for text, style, background in row:
@@ -350,19 +336,12 @@ def _status(viewed: Viewed) -> str:
     return escape_text("  ".join(part for part in parts if part))
 
 
-def _graphics(facts: TerminalFacts) -> Graphics:
-    """Return the way in which a terminal shows images."""
-    return facts.pixels if facts.pixels and not why_no_graphics(facts.pixels) else "blocks"
-
-
 class ImagePrinter:
     """Prints images, each over the one before."""
 
     def __init__(self, protocol: Protocol, facts: TerminalFacts) -> None:
         self._protocol = protocol
         self._cell = facts.cell or USUAL_CELL
-        # The images of former commands stay on the screen.
-        self._first_id = secrets.randbelow(1 << 27) * IDS + 1
         self._bands: list[Band] = []
         self._painter = Painter(protocol)
 
@@ -374,7 +353,7 @@ class ImagePrinter:
         """
         frame = frame_of(pixels, wish)
         self._bands = bands_of(
-            pixels, frame, self._cell, self._protocol, self._first_id, _PAPER.background, self._bands
+            pixels, frame, self._cell, self._protocol, self._painter.first_id, _PAPER.background, self._bands
         )
         return self._painter.painted(self._bands, (0, 0), ())
 
@@ -386,7 +365,7 @@ class ImagePrinter:
         """
         frame = frame_of(pixels, wish)
         rows = frame.rows
-        bands = bands_of(pixels, frame, self._cell, self._protocol, self._first_id, _PAPER.background)
+        bands = bands_of(pixels, frame, self._cell, self._protocol, self._painter.first_id, _PAPER.background)
         # The lines come first: at the end of the screen, they scroll it, which the image would not, or not enough.
         image = "".join(f"\x1b8{_down(band.top)}{band.sequence}" for band in bands)
         return f"{_NEXT_LINE * rows}\x1b[{rows}A\x1b7{image}\x1b8\x1b[{rows}B"

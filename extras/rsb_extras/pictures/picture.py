@@ -19,6 +19,8 @@ MOST_COLUMNS, MOST_ROWS = 400, 150
 """Cells of the largest picture."""
 MOST_ACROSS, MOST_DOWN = 16, 32
 """Pixels of an image across and down a cell."""
+_FLATTEST, _HIGHEST = 0.5, 8.0
+"""Heights of a cell over its width."""
 LONGEST_SIDE = 1920
 """Pixels of an image's width and height."""
 MOST_RATE = 10.0
@@ -83,7 +85,19 @@ class Wish(msgspec.Struct, frozen=True, omit_defaults=True):
     webp: bool = False
     across: Annotated[int, Meta(ge=1, le=MOST_ACROSS)] = 1
     down: Annotated[int, Meta(ge=1, le=MOST_DOWN)] = 2
-    shape: Annotated[float, Meta(ge=0.5, le=8)] = 2.0
+    shape: Annotated[float, Meta(ge=_FLATTEST, le=_HIGHEST)] = 2.0
+
+
+def sized(wish: Wish, width: int, height: int, across: int, down: int, shape: float) -> Wish:
+    """Return a wish for an area and its cells, as far as the other side accepts that: it refuses one out of bounds."""
+    return msgspec.structs.replace(
+        wish,
+        width=max(1, min(MOST_COLUMNS, width)),
+        height=max(1, min(MOST_ROWS, height)),
+        across=max(1, min(MOST_ACROSS, across)),
+        down=max(1, min(MOST_DOWN, down)),
+        shape=max(_FLATTEST, min(_HIGHEST, shape)),
+    )
 
 
 def in_full(wish: Wish) -> Wish:

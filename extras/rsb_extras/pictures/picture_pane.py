@@ -7,7 +7,6 @@ image in characters meanwhile.
 from __future__ import annotations
 
 import asyncio
-import secrets
 from functools import partial
 from typing import TYPE_CHECKING, Any, cast
 
@@ -22,7 +21,7 @@ from textual.widgets._toast import Toast, ToastRack
 
 from rsb_console.screens.dialog import FullScreen
 from rsb_console.widgets.lines import LOOK_CLASSES, yield_gil
-from rsb_extras.pictures.graphics import IDS, USUAL_CELL, Painter, bands_of, frame_of
+from rsb_extras.pictures.graphics import USUAL_CELL, Painter, bands_of, frame_of
 from rsb_extras.pictures.paper import Paper
 
 if TYPE_CHECKING:
@@ -57,7 +56,6 @@ class PicturePane(Widget, can_focus=True):
         self._painter: Painter | None = None
         self._covered: frozenset[int] = frozenset()
         self._losses = 0
-        self._first_id = secrets.randbelow(1 << 27) * IDS + 1
 
     class Clicked(TextualMessage):
         """A cell was clicked."""
@@ -104,13 +102,11 @@ class PicturePane(Widget, can_focus=True):
             UnreadableError: the other side's image is damaged.
         """
         facts = self.terminal.facts
-        cell = facts.cell or USUAL_CELL
-        paper = self._paper.background
-        frame, first_id, before = frame_of(image, wish), self._first_id, self._bands
+        painter = self._painter = self._painter or Painter(facts.pixels)
+        cell, paper, before = facts.cell or USUAL_CELL, self._paper.background, self._bands
+        frame, first_id = frame_of(image, wish), painter.first_id
         make = partial(bands_of, image, frame, cell, facts.pixels, first_id, paper, before, few_colours=few_colours)
         self._bands = await asyncio.to_thread(make)
-        if self._painter is None:
-            self._painter = Painter(facts.pixels)
         self._covered = self._rows_under_boxes()
         self._show_rows(await asyncio.to_thread(blocks) if self._covered else [])
         self.call_after_refresh(self._paint)

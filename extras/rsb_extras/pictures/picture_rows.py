@@ -14,8 +14,6 @@ from rsb_extras.pictures.picture import Series
 if TYPE_CHECKING:
     from rsb_extras.pictures.picture import Cells, Curve, Pixels
 
-COLOURS = {None: 0, "standard": 16, "windows": 16, "256": 256, "truecolor": 1 << 24}
-"""The number of a terminal's colours, by rich's name of its colour system."""
 _FEW = 16
 _COST = "·"
 """A cell with a cost, on a terminal without colours."""

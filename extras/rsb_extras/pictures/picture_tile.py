@@ -29,19 +29,16 @@ from rsb_extras.pictures.blocks import image_rows, wished_pixels
 from rsb_extras.pictures.drawing import VIEWS, is_map
 from rsb_extras.pictures.field_chooser import FieldChooser
 from rsb_extras.pictures.goal_on_map import POSE, Goal
-from rsb_extras.pictures.graphics import why_no_graphics
+from rsb_extras.pictures.graphics import protocol_of
 from rsb_extras.pictures.look_requests import EndLook, LookAtTopics
 from rsb_extras.pictures.picture import (
-    MOST_ACROSS,
-    MOST_COLUMNS,
-    MOST_DOWN,
     MOST_RATE,
-    MOST_ROWS,
     TOPICS_AT_ONCE,
     Cells,
     Pixels,
     Series,
     in_full,
+    sized,
     split_field,
 )
 from rsb_extras.pictures.picture_files import formats_of, picture_file, svg
@@ -54,7 +51,7 @@ if TYPE_CHECKING:
 
     from rsb_console.console_api import Console
     from rsb_extras.pictures.layouts import Subject
-    from rsb_extras.pictures.picture import Scale, Viewed
+    from rsb_extras.pictures.picture import Scale, Viewed, Wish
     from rsb_extras.pictures.picture_rows import Row
 
 _TRIED_AGAIN_AFTER = 1.0  # s; a round figure: how long a refusal outlives its cause
@@ -183,19 +180,11 @@ class PictureTile(Tile):
 
     def fit(self) -> None:
         size, facts = self.size, self.terminal.facts
-        # The other side refuses a wish beyond these bounds.
-        width, height = max(1, min(MOST_COLUMNS, size.width)), max(1, min(MOST_ROWS, size.height))
         if self._shows_pixels and facts.cell is not None:
             across, down = (round(each / 2**self._strain) for each in facts.cell)
         else:
             across, down = wished_pixels(self._colours, sextants=facts.draws_sextants)
-        self._change(
-            width=width,
-            height=height,
-            across=max(1, min(MOST_ACROSS, across)),
-            down=max(1, min(MOST_DOWN, down)),
-            shape=max(0.5, min(8.0, facts.shape)),
-        )
+        self._take(sized(self._wish, size.width, size.height, across, down, facts.shape))
         if isinstance(self.content, Pixels):
             self.cover_changed()  # the picture in sight, in the new size
         else:
@@ -210,8 +199,7 @@ class PictureTile(Tile):
 
     @property
     def _shows_pixels(self) -> bool:
-        facts = self.terminal.facts
-        return bool(facts.pixels) and not self.terminal.ascii_only and not why_no_graphics(facts.pixels)
+        return not self.terminal.ascii_only and protocol_of(self.terminal.facts) != ""
 
     # -- pictures -----------------------------------------------------------------------------------------------------
 
@@ -388,7 +376,9 @@ class PictureTile(Tile):
     # -- keys ---------------------------------------------------------------------------------------------------------
 
     def _change(self, **changes: object) -> None:
-        wish = msgspec.structs.replace(self._wish, **changes)
+        self._take(msgspec.structs.replace(self._wish, **changes))
+
+    def _take(self, wish: Wish) -> None:
         if wish != self._wish:
             self._wish = wish
             self._ask_anew_soon()

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from rsb_bridge.model.finding import Finding, Grade
 from rsb_bridge.model.wording import Wording
 from rsb_console.terminal.terminal_facts import TRUE_COLOUR, ask, can_be_asked, facts_before_answers
-from rsb_extras.pictures.graphics import why_no_graphics
+from rsb_extras.pictures.graphics import protocol_of, why_no_graphics
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -38,10 +38,8 @@ def terminal() -> Iterator[Finding]:
 
 def finding(facts: TerminalFacts) -> Finding:
     """Return what a terminal's facts mean for images."""
-    lacks = why_no_graphics(facts.pixels)
-    shows_pixels = facts.pixels != "" and not lacks
-    text = (TerminalText.PIXELS if shows_pixels else TerminalText.BLOCKS)(facts=facts.line())
-    remedy = lacks
+    text = (TerminalText.PIXELS if protocol_of(facts) else TerminalText.BLOCKS)(facts=facts.line())
+    remedy = why_no_graphics(facts.pixels)
     if not facts.pixels:
         remedy = TerminalText.MORE_PIXELS() if facts.colours == TRUE_COLOUR else TerminalText.MORE_COLOURS()
     data = {"name": facts.name, "colours": facts.colours, "cell": facts.cell, "pixels": facts.pixels}

@@ -29,7 +29,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from PIL import Image
-from rich.console import Console
 
 from rsb_console.terminal.terminal_facts import TRUE_COLOUR, TerminalFacts
 from rsb_extras.pictures.blocks import image_rows, wished_pixels
@@ -218,8 +217,7 @@ def ours(photo: Image.Image, way: Way, window: Window) -> tuple[bytes, int, tupl
         data = "".join(f"\x1b[{band.top + 1};1H{band.sequence}" for band in bands)
         return data.encode(), link, (frame.columns, frame.rows), (frame.width, frame.height)
     rows = image_rows(content, wish.width, wish.height, colours=way.colours, sextants=way.sextants)
-    console = Console(color_system=TerminalFacts(colours=way.colours).colour_system, file=io.StringIO())  # type: ignore[arg-type]
-    text = "\r\n".join(_encoded(console, row, ascii_only=False) for row in rows)
+    text = "\r\n".join(_encoded(row, TerminalFacts(colours=way.colours), ascii_only=False) for row in rows)
     size = sum(len(part.text) for part in rows[0]), len(rows)
     return text.encode(), link, size, (content.width / across, content.height / down)
 
