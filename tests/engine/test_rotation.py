@@ -21,7 +21,7 @@ from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.wire.connection import ClientConnection
 from rsb_bridge.wire.events import RefusalCode, StreamRefused
-from rsb_bridge.wire.messages import Hello
+from rsb_bridge.wire.messages import Hello, Ping
 from rsb_bridge.wire.preamble import RefusalText
 from rsb_bridge.wire.sealing import CipherSuite
 
@@ -184,6 +184,7 @@ def test_what_the_old_connection_still_sends_opens_nothing(
         datagrams = rogue.datagrams(rogue.route("/datagrams", "udp", Qos(), STRING))
 
         def send() -> None:
+            rogue.say(Ping(1, 0))  # discovery may take longer than a link without a word lasts
             rogue.probe()
             for datagram in datagrams.write(text("x"), 0, 0, 1400):
                 rogue.udp.send(datagram)

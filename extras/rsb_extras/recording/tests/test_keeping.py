@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import itertools
 import resource
 import stat
 import sys
+import threading
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -253,26 +253,27 @@ def test_missing_library_is_named_by_the_engine(talking: Engine, folder: Path, m
     assert not [*folder.iterdir()]
 
 
-def test_loop_goes_on_while_a_recording_is_written(talking: Engine, robot: Domain) -> None:
+def test_loop_sees_the_file_grow_while_a_recording_is_written(talking: Engine, folder: Path) -> None:
     """Of a ring that is full of small messages, which take longest to write."""
     part: Any = inside(talking).handlers[KeepLast]
     ring: MessageRing = part.__self__.ring
     newest = ring.copy(0.0)[1][0]
-    turns: list[float] = []
+    sizes: set[int] = set()
+    full = threading.Event()
 
     def fill() -> None:
         now = inside(talking).context.now()
         while ring.held + 2 * newest.cost < ring.size:
             ring.add(replace(newest, at=now))
+        full.set()
         turn()
 
     def turn() -> None:
-        turns.append(inside(talking).context.now())
+        sizes.update(each.stat().st_size for each in folder.glob("*"))
         inside(talking).context.loop.call_later(0.001, turn)
 
     inside(talking).context.call(fill)
-    eventually(lambda: turns)
+    assert full.wait(60)
     written = keep(talking)
     assert written.messages > 100_000
-    longest = max(after - before for before, after in itertools.pairwise([*turns]))
-    assert longest < 0.2, "7 ms on an idle machine"
+    assert len(sizes) > 5, sizes
