@@ -258,7 +258,7 @@ def test_drive_box_stands_beside_tiles(size: tuple[int, int]) -> None:
         await until(pilot, lambda: not box.region.overlaps(screen.pane.region), "room for the box")
         assert screen.pane.size.area > 0
         assert box.region.area + screen.pane.region.area >= 0.9 * app.size.area or size == NARROW
-        assert box.has_class("-armed")
+        await until(pilot, lambda: box.has_class("-armed"), "the armed topic's border")
         await pilot.press("escape")
         await until(pilot, lambda: screen.pane.region.size == app.size, "the whole screen again")
 
