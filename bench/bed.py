@@ -93,9 +93,9 @@ def _thesis(near: int, far: int) -> Iterator[Bed]:
 
 
 @contextlib.contextmanager
-def _zenoh_bridge(near: int, far: int) -> Iterator[Bed]:
+def _zenoh_bridge(near: int, far: int, *, tls: bool = False) -> Iterator[Bed]:
     """Put zenoh-bridge-ros2dds between talker and listener."""
-    with zenoh_bridge.between(near, far) as sides, loopback.ends(near, far) as bed:
+    with zenoh_bridge.between(near, far, tls=tls) as sides, loopback.ends(near, far) as bed:
         bed.between += sides
         yield ready(bed)
 
@@ -112,6 +112,7 @@ BEDS: dict[str, Callable[[int, int], AbstractContextManager[Bed]]] = {
     "zenoh-drop": lambda near, far: loopback.bridged("zenoh-drop", near, far, zenoh="router"),
     "thesis": _thesis,
     zenoh_bridge.NAME: _zenoh_bridge,
+    zenoh_bridge.WITH_TLS: partial(_zenoh_bridge, tls=True),
 }
 """By name, for a talker's and a listener's domain. Without a bridge, both are in the talker's domain."""
 OURS = ("tcp", "udp", "zenoh", "zenoh-router", "zenoh-drop")

@@ -2,13 +2,16 @@
 
 A robot with nav2 and an operator's PC have network namespaces of their own. Between them is a Wi-Fi of 20
 Mbit/s that delays by 20 ± 15 ms, loses 2 % of the packets and all for 3 s of every 30 s, or a tunnel of 5 kB/s that
-keeps 4.4 MB (`wifi.c`). Plain nodes publish on the robot and listen on the PC, and our bridge is between them. In the
-column ``dds`` nothing is, and the nodes find each other by address: what a user would have without a bridge. In the
-column ``bare`` are two processes that do no more than pass each topic on over a TCP connection. A cell has
+keeps 4.4 MB (`wifi.c`). Plain nodes publish on the robot and listen on the PC, and a bridge is between them: ours over
+``tcp``, ``udp`` or ``zenoh``, or ``zenoh-bridge``, which is zenoh-bridge-ros2dds. In the column ``dds`` no bridge is,
+and the nodes find each other by address. In the column ``bare`` are two processes that do no more than pass each topic
+on over a TCP connection. A cell has
 the latencies' p50 and p99 in ms and the part of the messages that arrived. Messages of a gap, and of the 3 s after it,
 count as arrived or lost only. Of calls, it is the time until the answer and the part that was answered.
 
-``--congestion cubic,bbr`` compares what the kernel makes of TCP's losses.
+A column names what differs from how a bridge comes: ``tcp+equal`` is without the topics' priorities,
+``zenoh-bridge+bbr+priorities+tls`` with BBR, those priorities and TLS. Where no congestion control of TCP is named,
+the kernel's is Linux's default, and our bridge takes the one it prefers.
 
 It needs root, /dev/net/tun, a C compiler and iproute2, and takes the seconds of a run and some 15 s for each column.
 """
@@ -32,10 +35,11 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
+from bench import zenoh_bridge
 from bench.bed import FAR, NEAR, ROOT
-from bench.robot_ends import GOAL, NODE, PARAMETERS, RESULT
+from bench.robot_links import LINKS, Link, Spoken
 from tests.network.hosts import Host, NoHostError
 
 from rsb_bridge.ros.memory import PROFILE_VARIABLES
@@ -45,9 +49,8 @@ if TYPE_CHECKING:
 
 _ROBOT, _PC = "10.98.0.1", "10.98.0.2"
 _PORT = 49152
-_CONTROL = Path("/proc/sys/net/ipv4")
-_DEFAULT = _CONTROL / "tcp_congestion_control"
-_AVAILABLE = "of " + (_CONTROL / "tcp_available_congestion_control").read_text(encoding="ascii").strip()
+_CONGESTION_CONTROLS = Path("/proc/sys/net/ipv4/tcp_available_congestion_control").read_text(encoding="ascii").split()
+_OF_LINUX = "cubic"
 _CPUCLOCK_SCHED = 2  # clock_getcpuclockid(3), as Linux makes the id of a process's clock
 _AFTER_GAP = 3.0
 _DRAINS = 5.0
@@ -55,7 +58,6 @@ _DRAINS = 5.0
 _MATCHES_WITHIN = 30.0
 _PROFILE = ROOT / "configs" / "fastdds-large-messages.xml"
 """Without it, DDS hands on hardly one image of 6 MB a minute in full, and small topics late, on the same machine."""
-_NO_BRIDGE = ("bare", "dds")
 _TYPE = "std_msgs/msg/String"
 _LOST = re.compile("link with the server at .* lost: ")
 _BRIDGE = """
@@ -67,188 +69,46 @@ sys.exit(main(sys.argv[1:]))
 """
 
 
-class Spoken(NamedTuple):
-    """A topic of the robot.
-
-    Attributes:
-        transport: that it always uses, or an empty string for the column's.
-        robot: whose bridge sends it. All robots are at one end of the link.
-        to_robot: whether the PC publishes it, for the robot.
-    """
-
-    name: str
-    rate: float
-    size: int
-    priority: str = "normal"
-    reliability: str = "reliable"
-    transport: str = ""
-    robot: str = "robot"
-    to_robot: bool = False
-
-    @property
-    def row(self) -> str:
-        """The figures' name: topics that differ in their number only are one."""
-        return self.name.rstrip("0123456789")
-
-    @property
-    def is_large(self) -> bool:
-        """Whether it has a process of its own, since publishing it takes milliseconds."""
-        return self.size > 50_000
-
-    def __str__(self) -> str:
-        return f"{self.name}:{self.rate}:{self.size}:{self.reliability}"
-
-
-class Called(NamedTuple):
-    """Something of the robot that the PC calls.
-
-    Attributes:
-        size: bytes of an answer of a service.
-        kind: ``service``, ``action``, or ``parameters`` of the node.
-    """
-
-    name: str
-    rate: float
-    size: int
-    kind: str = "service"
-
-    @property
-    def rows(self) -> Sequence[str]:
-        """The measured topics or calls."""
-        return (GOAL + self.name, RESULT + self.name) if self.kind == "action" else (self.name,)
-
-    @property
-    def entry(self) -> str:
-        """Its entry in a session."""
-        return f"node: /{NODE}" if self.kind == "parameters" else f"{self.kind}: {self.name}"
-
-    def __str__(self) -> str:
-        return f"{self.name}:{self.rate}:{self.size}:{self.kind}"
+_WAYS: dict[str, tuple[str, ...]] = {
+    **dict.fromkeys(("tcp", "udp", "zenoh"), ("equal",)),
+    zenoh_bridge.NAME: ("priorities", "tls"),
+    "bare": (),
+    "dds": (),
+}
+"""The ways for messages to cross, with their options beside a congestion control."""
+_ZENOH_PRIORITIES = {"high": 2, "low": 6}  # of 1 to 7; 5 is the default
 
 
 class Column(NamedTuple):
-    """A way for the messages to cross, with the kernel's congestion control of TCP."""
+    """A way of `_WAYS` with the options that were chosen."""
 
-    transport: str
-    priorities: str
-    congestion: str
+    way: str
+    options: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, text: str) -> Self:
+        """Read ``way+option+option``, or end this process with what is allowed."""
+        way, *options = text.split("+")
+        if way not in _WAYS:
+            raise SystemExit(f"--columns {text}: there are {', '.join(_WAYS)}")
+        allowed = (*_WAYS[way], *(_CONGESTION_CONTROLS if way != "dds" else ()))
+        if unknown := [each for each in options if each not in allowed]:
+            raise SystemExit(f"--columns {text}: {way} has no {unknown[0]}, but {', '.join(allowed)}")
+        if way == zenoh_bridge.NAME:
+            zenoh_bridge.check_built()
+        return cls(way, tuple(options))
+
+    @property
+    def congestion(self) -> str:
+        """The congestion control of TCP that was chosen, or an empty string."""
+        return next((each for each in self.options if each in _CONGESTION_CONTROLS), "")
+
+    @property
+    def is_ours(self) -> bool:
+        return self.way in {"tcp", "udp", "zenoh"}
 
     def __str__(self) -> str:
-        priorities = f"{self.priorities} priorities" if self.priorities else ""
-        return ", ".join(filter(None, (self.transport, priorities, self.congestion)))
-
-
-class Link(NamedTuple):
-    """A link, with the arguments of `wifi.c`, and the topics and calls on it."""
-
-    figures: str
-    topics: tuple[Spoken, ...]
-    calls: tuple[Called, ...] = ()
-
-    @property
-    def robots(self) -> Sequence[str]:
-        """The owners of the bridges that it carries."""
-        return list(dict.fromkeys(each.robot for each in self.topics))
-
-    @property
-    def rows(self) -> dict[str, str]:
-        """The figures in words, by their names."""
-        topics = {each.row: f"{each.row} {each.rate:g} Hz × {each.size:,}" for each in self.topics}
-        return topics | {row: f"{row} {each.rate:g} Hz × {each.size:,}" for each in self.calls for row in each.rows}
-
-
-LINKS = {
-    "wifi": Link(
-        "20 15 2 20000000 400000 30 3",
-        (
-            Spoken("/odom", 50, 730, "high"),
-            Spoken("/tf", 50, 400, "high"),
-            Spoken("/joint_states", 100, 470),
-            Spoken("/imu", 100, 330, reliability="best_effort"),
-            Spoken("/scan", 10, 4000, reliability="best_effort"),
-            Spoken("/pose", 5, 360),
-            Spoken("/path", 1, 20_000),
-            Spoken("/local_costmap", 2, 3_700),
-            Spoken("/costmap", 1, 40_000),
-            Spoken("/battery", 0.5, 200),
-            Spoken("/health", 1, 4_000),
-            Spoken("/camera", 30, 60_000, "low", "best_effort"),
-            Spoken("/raw", 10, 6_220_800, "low", "best_effort"),
-        ),
-        (
-            Called("/status", 2, 60),
-            Called("/plan", 0.5, 20_000),
-            Called("/clear", 0.2, 0),
-            Called("/navigate", 0.2, 0, "action"),
-            Called(PARAMETERS, 0.5, 0, "parameters"),
-        ),
-    ),
-    "tunnel": Link(
-        "5 0 0 40000 4400000 0 0",
-        (
-            Spoken("/high", 10, 100, "high"),
-            Spoken("/normal", 10, 500),
-            Spoken("/low", 10, 500, "low", "best_effort"),
-        ),
-    ),
-    "mixed": Link(
-        "5 0 0 40000 10000 0 0",
-        (
-            Spoken("/odom", 20, 700, transport="tcp"),
-            Spoken("/scan", 15, 1_000, reliability="best_effort", transport="udp"),
-            Spoken("/joy", 10, 50, transport="tcp"),
-        ),
-    ),
-    "high-udp": Link(
-        "5 0 0 40000 10000 0 0",
-        (
-            Spoken("/odom", 20, 700, transport="tcp"),
-            Spoken("/scan", 15, 1_000, "high", "best_effort", transport="udp"),
-        ),
-    ),
-    "whole": Link("5 0 0 40000 10000 0 0", (Spoken("/cloud", 1, 20_000, "normal", "best_effort", transport="udp"),)),
-    "lossy": Link(
-        "20 0 30 20000000 400000 0 0",
-        (
-            Spoken("/scan", 50, 1_000, reliability="best_effort", transport="udp"),
-            Spoken("/slow", 2, 200, reliability="best_effort", transport="udp"),
-            Spoken("/odom", 10, 100, transport="tcp"),
-        ),
-    ),
-    "alone": Link("20 0 2 20000000 400000 0 0", (Spoken("/joint_states", 100, 470),)),
-    "beside": Link(
-        "20 0 2 20000000 400000 0 0",
-        (Spoken("/joint_states", 100, 470), Spoken("/camera", 20, 60_000, reliability="best_effort")),
-    ),
-    "two-robots": Link(
-        "20 15 2 20000000 400000 0 0",
-        tuple(
-            Spoken(f"{name}{topic}", rate, size, priority, reliability, robot=robot)
-            for robot, name in (("robot", ""), ("second", "/second"))
-            for topic, rate, size, priority, reliability in (
-                ("/odom", 50, 730, "high", "reliable"),
-                ("/joint_states", 100, 470, "normal", "reliable"),
-                ("/camera", 30, 60_000, "low", "best_effort"),
-            )
-        ),
-    ),
-    "both-ways": Link(
-        "20 15 2 20000000 400000 0 0",
-        (
-            Spoken("/odom", 50, 730, "high"),
-            Spoken("/joint_states", 100, 470),
-            Spoken("/cmd_vel", 20, 60, "high", to_robot=True),
-            Spoken("/map", 40, 60_000, "low", "best_effort", to_robot=True),
-        ),
-    ),
-    "many": Link("20 0 0 20000000 400000 0 0", tuple(Spoken(f"/topic{number}", 1, 300) for number in range(500))),
-}
-
-_WIFI = LINKS["wifi"]
-# An operator who wants whole images sooner than pictures of the camera.
-LINKS["raw-first"] = _WIFI._replace(
-    topics=tuple(each._replace(priority="high") if each.name == "/raw" else each for each in _WIFI.topics)
-)
+        return "+".join((self.way, *self.options))
 
 
 @dataclass
@@ -262,7 +122,7 @@ class Run:
         bytes: that crossed to the PC.
         cpu: s of both sides' processors.
         descriptors: file descriptors of the side that had more.
-        lost: how often the link was lost.
+        lost: how often our bridge's link was lost.
     """
 
     made: dict[str, list[int]]
@@ -284,26 +144,25 @@ class Run:
         part = len({made for made, _ in self.heard.get(topic, ())}) / max(1, len(self.made.get(topic, ())))
         return delays[len(delays) // 2], delays[len(delays) * 99 // 100], part
 
+    def as_json(self) -> dict[str, Any]:
+        cells = {row: dict(zip(("p50", "p99", "part"), self.cell(row), strict=True)) for row in self.made}
+        return {"rows": cells, "bytes": self.bytes, "cpu": self.cpu, "lost": self.lost}
+
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--links", default="wifi,tunnel", help=", ".join(LINKS))
-    parser.add_argument("--transports", default="tcp,udp,zenoh,bare,dds")
-    parser.add_argument("--congestion", default=_DEFAULT.read_text(encoding="ascii").strip(), help=_AVAILABLE)
-    parser.add_argument("--priorities", default="with,without")
+    parser.add_argument("--columns", default="tcp,udp,zenoh,bare,dds", help=f"{', '.join(_WAYS)}, each with +option")
     parser.add_argument("--seconds", type=float, default=68.0)
     parser.add_argument("--rounds", type=int, default=1)
+    parser.add_argument("--json", type=Path, help="write the figures of all runs to this file")
     options = parser.parse_args()
+    columns = [Column.of(each) for each in options.columns.split(",")]
+    found: dict[str, dict[str, list[Any]]] = {}
     with tempfile.TemporaryDirectory(prefix="rsb-robot-") as name:
         folder = Path(name)
         program = _built(folder)
         for link in options.links.split(","):
-            columns = [
-                Column(transport, priorities, congestion)
-                for transport in options.transports.split(",")
-                for priorities in (options.priorities.split(",") if transport not in _NO_BRIDGE else [""])
-                for congestion in (options.congestion.split(",") if transport not in {"dds", "udp"} else [""])
-            ]
             runs: dict[Column, list[Run]] = {column: [] for column in columns}
             for _ in range(options.rounds):
                 for column in columns:
@@ -312,6 +171,9 @@ def main() -> None:
                     except NoHostError as error:
                         raise SystemExit(f"no namespaces: {error}; run this as root") from None
                     runs[column].append(run)
+                    found.setdefault(link, {}).setdefault(str(column), []).append(run.as_json())
+                    if options.json:
+                        options.json.write_text(json.dumps(found, indent=1), encoding="utf-8")
             _print(link, runs, options.seconds)
 
 
@@ -375,13 +237,12 @@ def _run(folder: Path, program: Path, link: Link, column: Column, seconds: float
         stack.callback(robot.close)
         wire = _joined(program, robot, pc, link.figures)
         stack.callback(wire.kill)
-        bridged = column.transport != "dds"
+        bridged = column.way != "dds"
         logs = [folder / f"{robot}.log" for robot in link.robots]
         for log in logs:
             log.write_text("")
-        if column.transport in {"zenoh", "bare"}:  # which have sockets of their own
-            for host in (robot, pc):
-                _set_congestion_control(host, column.congestion)
+        for host in (robot, pc):
+            _set_congestion_control(host, column.congestion or _OF_LINUX)
 
         def child(host: Host, *command: str, log: Path | None = None) -> _Child:
             peer = "" if bridged else (_PC if host is robot else _ROBOT)
@@ -393,23 +254,25 @@ def _run(folder: Path, program: Path, link: Link, column: Column, seconds: float
             domain = FAR if host is pc and bridged else NEAR
             return child(host, "-m", "bench.robot_ends", what, str(domain), *map(str, about))
 
-        topics = [each for each in link.topics if not (each.to_robot and column.transport == "bare")]
+        topics = [each for each in link.topics if not (each.to_robot and column.way == "bare")]
         parts = [list(part) for _, part in groupby(sorted(topics, key=_process), key=_process)]
         ears = [node(robot if part[0].to_robot else pc, "listen", *part) for part in parts]
-        calls = link.calls if column.transport != "bare" else ()
+        calls = link.calls if column.way != "bare" else ()
         servers = [node(robot, "serve", *calls)] if calls else []
         for each in (*ears, *servers):
             each.answer()
-        if column.transport == "bare":
+        if column.way == "bare":
             sides = _start_bare(child, pc, robot, topics)
+        elif column.way == zenoh_bridge.NAME:
+            sides = _start_zenoh_bridge(child, pc, robot, folder, link, column)
         else:
             sides = _start_bridge(child, pc, robot, folder, link, column) if bridged else []
         mouths = [node(pc if part[0].to_robot else robot, "talk", *part) for part in parts]
-        if calls:
-            caller = node(pc, "call", *calls)
-            mouths.append(caller)
-            ears.append(caller)
-        _wait_until_matched(mouths, [folder / "server.log", *logs])
+        callers = [node(pc, "call", *calls)] if calls else []
+        # The other bridge may not bring what is called.
+        _wait_until_matched(mouths, [] if column.way == zenoh_bridge.NAME else callers, [folder / "server.log", *logs])
+        mouths += callers
+        ears += callers
         time.sleep(3)
         run = _measured(link, wire, mouths, ears, sides, seconds)
         run.lost = sum(len(_LOST.findall(log.read_text())) for log in logs)
@@ -460,13 +323,29 @@ def _by_row(link: Link, ends: Sequence[_Child]) -> dict[str, list[Any]]:
 
 
 def _start_bridge(child: _Start, pc: Host, robot: Host, folder: Path, link: Link, column: Column) -> Sequence[_Child]:
-    _write_sessions(folder, link, column.transport, with_priorities=column.priorities == "with")
-    run = ("-c", _BRIDGE, column.congestion, "run", "--no-ui", "--control")
+    _write_sessions(folder, link, column.way, with_priorities="equal" not in column.options)
+    program = ("-c", _BRIDGE, column.congestion) if column.congestion else ("-m", "rsb_console")
+    run = (*program, "run", "--no-ui", "--control")
     sides = []
     for host, side in ((pc, "server"), *((robot, name) for name in link.robots)):
         socket, session, log = (folder / f"{side}.{suffix}" for suffix in ("sock", "yaml", "log"))
         sides.append(child(host, *run, str(socket), str(session), log=log))
     return sides
+
+
+def _start_zenoh_bridge(
+    child: _Start, pc: Host, robot: Host, folder: Path, link: Link, column: Column
+) -> Sequence[_Child]:
+    endpoint, keys = f"tcp/{_PC}:{_PORT}", dict[str, object]()
+    if "tls" in column.options:
+        endpoint, keys = f"tls/{_PC}:{_PORT}", zenoh_bridge.tls_keys(folder)
+    if "priorities" in column.options:
+        priorities = ((each.name, _ZENOH_PRIORITIES.get(each.priority)) for each in link.topics)
+        keys["plugins/ros2dds/pub_priorities"] = [f"{name}={priority}" for name, priority in priorities if priority]
+    return [
+        child(host, *zenoh_bridge.arguments(domain, part, endpoint, keys))
+        for host, domain, part in ((pc, FAR, "listen"), (robot, NEAR, "connect"))
+    ]
 
 
 def _start_bare(child: _Start, pc: Host, robot: Host, topics: Sequence[Spoken]) -> Sequence[_Child]:
@@ -494,25 +373,25 @@ def _set_congestion_control(host: Host, name: str) -> None:
         raise SystemExit(f"{error}; allow {name} by sysctl -w {allowed}=... on this machine") from None
 
 
-def _wait_until_matched(mouths: Sequence[_Child], logs: Sequence[Path]) -> None:
+def _wait_until_matched(mouths: Sequence[_Child], callers: Sequence[_Child], logs: Sequence[Path]) -> None:
     deadline = time.monotonic() + _MATCHES_WITHIN
     while True:
-        for mouth in mouths:
-            mouth.tell("match")
-        if min(mouth.answer()["matched"] for mouth in mouths):
+        for each in (*mouths, *callers):
+            each.tell("match")
+        if min([each.answer()["matched"] for each in (*mouths, *callers)]):
             return
         if time.monotonic() > deadline:
             raise SystemExit("\n".join(["nobody listens", *(log.read_text()[-2000:] for log in logs if log.exists())]))
         time.sleep(0.3)
 
 
-def _write_sessions(folder: Path, link: Link, transport: str, *, with_priorities: bool) -> None:
+def _write_sessions(folder: Path, link: Link, way: str, *, with_priorities: bool) -> None:
     for robot in link.robots:
         key = folder / f"{robot}.key"
         key.write_bytes(base64.urlsafe_b64encode(os.urandom(32)))
         key.chmod(0o600)
     listens = connects = f"server_ip: {_PC}\nserver_port: {_PORT}\n"
-    if transport == "zenoh":
+    if way == "zenoh":
         connects = f"server_ip: zenoh\nzenoh: {{connect: [tcp/{_PC}:{_PORT}]}}\n"
         listens = connects.replace("connect:", "listen:")
     lists: dict[str, dict[str, list[str]]] = {robot: {} for robot in link.robots}
@@ -520,7 +399,7 @@ def _write_sessions(folder: Path, link: Link, transport: str, *, with_priorities
         lists[topic.robot].setdefault("topics:", []).append(
             f"  - {{topic: {topic.name}"
             f", direction: {f'receive, type: {_TYPE}' if topic.to_robot else 'transmit'}"
-            f"{', protocol: udp' if (topic.transport or transport) == 'udp' else ''}"
+            f"{', protocol: udp' if (topic.transport or way) == 'udp' else ''}"
             f"{f', priority: {topic.priority}' if with_priorities else ''}}}"
         )
     for each in link.calls:
@@ -553,7 +432,8 @@ def _print(link: str, runs: dict[Column, list[Run]], seconds: float) -> None:
     print(" | ".join(["MB", *(f"{statistics.median(run.bytes for run in each) / 1e6:.1f}" for each in runs.values())]))
     print(" | ".join(["CPU, s", *(f"{statistics.median(run.cpu for run in each):.1f}" for each in runs.values())]))
     print(" | ".join(["descriptors", *(str(max(run.descriptors for run in each)) for each in runs.values())]))
-    print(" | ".join(["link lost", *(str(sum(run.lost for run in each)) for each in runs.values())]))
+    lost = (str(sum(run.lost for run in its)) if column.is_ours else "–" for column, its in runs.items())
+    print(" | ".join(["link lost", *lost]))
     sys.stdout.flush()
 
 

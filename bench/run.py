@@ -33,7 +33,7 @@ PARTS = ("small", "large", "rates", "calls")
 RATE_SIZES = (2_500, 10_000)
 DOMAINS = range(66, 92, 2)
 """The first domain of each bed's pair: below 102, where the kernel's ports begin. Tests have those up to 80, too."""
-LARGEST = {"thesis": 10_000, zenoh_bridge.NAME: 100_000}
+LARGEST = {"thesis": 10_000, **dict.fromkeys((zenoh_bridge.NAME, zenoh_bridge.WITH_TLS), 100_000)}
 """Most bytes of a message. The thesis's pipeline searches all that it has for each KiB, minutes for 6 MB. Of 1 MB
 from Cyclone DDS, Fast DDS loses most messages and gives the listener empty ones (`bench.withdrawn_message`)."""
 WARM_SECONDS, IDLE_SECONDS, RATE_SECONDS = 0.2, 5.0, 0.5

@@ -1,4 +1,4 @@
-//! Runs the plugin of zenoh-bridge-ros2dds until standard input ends: `zenoh_bridge DOMAIN listen|connect ENDPOINT`.
+//! Runs the plugin of zenoh-bridge-ros2dds until standard input ends: `zenoh_bridge KEY=JSON5...`.
 
 use std::{env, io};
 
@@ -9,17 +9,11 @@ use zenoh_plugin_ros2dds::ROS2Plugin;
 #[tokio::main(worker_threads = 2)]
 async fn main() -> zenoh::Result<()> {
     zenoh::init_log_from_env_or("error");
-    let arguments: Vec<String> = env::args().skip(1).collect();
-    let [domain, part, endpoint] = &arguments[..] else {
-        return Err("give a domain, listen or connect, and an endpoint".into());
-    };
     let mut config = zenoh::Config::default();
-    config.insert_json5("mode", "'router'")?; // the default of zenoh-bridge-ros2dds, not of the library
-    config.insert_json5("scouting/multicast/enabled", "false")?;
-    config.insert_json5("scouting/gossip/enabled", "false")?;
-    config.insert_json5("listen/endpoints", "[]")?; // a router listens at a fixed port, and there are two
-    config.insert_json5(&format!("{part}/endpoints"), &format!("['{endpoint}']"))?;
-    config.insert_json5("plugins/ros2dds/domain", domain)?;
+    for argument in env::args().skip(1) {
+        let (key, value) = argument.split_once('=').ok_or("give keys of its configuration: KEY=JSON5")?;
+        config.insert_json5(key, value)?;
+    }
 
     let mut plugins = PluginsManager::static_plugins_only();
     plugins.declare_static_plugin::<ROS2Plugin, _>("ros2dds", true);

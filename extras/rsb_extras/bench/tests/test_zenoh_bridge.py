@@ -12,7 +12,7 @@ ROOT = Path(__file__).parents[4]
 PROGRAM = ROOT / "bench/peers/zenoh_bridge/target/release/zenoh_bridge"
 WITHOUT = """
 from pathlib import Path
-from bench import quiet, run, zenoh_bridge
+from bench import outages, quiet, robot, run, zenoh_bridge
 zenoh_bridge.PROGRAM = Path("not built")
 {}.main()
 """
@@ -20,7 +20,7 @@ SENDS = """
 import sys
 from bench import bed
 near = int(sys.argv[1])
-with bed.BEDS["zenoh-bridge"](near, near + 1) as made:
+with bed.BEDS[sys.argv[2]](near, near + 1) as made:
     sent = made.send(100, 0.5, 1000)
     assert sent.received == sent.sent == 50
     assert min(sent.sides) > 0
@@ -33,7 +33,13 @@ def ran(code: str, *arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.parametrize(
-    ("program", "arguments"), [("quiet", ["table", "--peer"]), ("run", ["1", "--beds", "zenoh-bridge"])]
+    ("program", "arguments"),
+    [
+        ("quiet", ["table", "--peer"]),
+        ("run", ["1", "--beds", "zenoh-bridge-tls"]),
+        ("robot", ["--columns", "tcp,zenoh-bridge+tls"]),
+        ("outages", ["--transports", "zenoh-bridge"]),
+    ],
 )
 def test_bench_names_target_that_builds_peer(program: str, arguments: list[str]) -> None:
     ended = ran(WITHOUT.format(program), *arguments)
@@ -41,6 +47,7 @@ def test_bench_names_target_that_builds_peer(program: str, arguments: list[str])
 
 
 @pytest.mark.skipif(not PROGRAM.exists(), reason="zenoh-bridge-ros2dds is not built: run `make peers`")
-def test_peer_carries_messages_between_domains(spare_domains: int) -> None:
-    ended = ran(SENDS, str(spare_domains))
+@pytest.mark.parametrize("kind", ["zenoh-bridge", "zenoh-bridge-tls"])
+def test_peer_carries_messages_between_domains(spare_domains: int, kind: str) -> None:
+    ended = ran(SENDS, str(spare_domains), kind)
     assert ended.returncode == 0, ended.stderr
