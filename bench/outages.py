@@ -1,8 +1,9 @@
 """Measures what topics and calls lose when the path fails: ``python -m bench.outages`` prints a table a transport.
 
 A robot, a router and a server's machine have network namespaces of their own. Stock rclpy nodes publish, listen and
-call on the two ends, our bridge is between them, and one fault a run happens to the path or to a bridge. With the
-transport ``plain`` nothing is between the nodes: they share a domain, and find each other by address.
+call on the two ends, a bridge is between them, and one fault a run happens to the path or to a bridge: ours, or with
+the transport ``zenoh-bridge`` zenoh-bridge-ros2dds. With ``plain`` nothing is between the nodes: they share a domain,
+and find each other by address.
 
 A message counts if it was published from 1 s before the fault until all topics have been steady for 5 s, at least 8 s
 after the fault's end. ``a; b`` are the figures to the server's side and to the robot's. *Silence* is the longest
@@ -10,8 +11,10 @@ time without a message of a reliable topic of 10 Hz, and *back* the time from th
 silence. *Latched*: messages that never came, and messages that came again to who had them. *Events* are publishers
 that came or went in the listeners' domains: of all topics of a rate, and of the latched topics, where each change
 brings one; and how often the service came or went in its caller's.
-*Calls*: answered of asked; of those under way when the fault began; carried out twice. The second table compares the
+*Calls*: answered of asked; of those under way when the fault began; carried out twice. The second table compares our
 bridge's account with these counts.
+
+``--record FOLDER`` writes what recorders in both domains have heard, for ``rsb-console audit``.
 
 It needs root, iproute2, nftables and conntrack, and takes 25 to 45 s a run beyond the outage itself.
 """
@@ -31,6 +34,7 @@ from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
+from bench import zenoh_bridge
 from tests.network.hosts import NoHostError
 from tests.network.outage_bed import FAULTS, FLOWS, PLAIN, STEADY_BEFORE, TRANSPORTS, OutageBed
 from tests.network.outage_counts import (
@@ -45,6 +49,8 @@ from tests.network.outage_counts import (
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
+    from tests.network.outage_bed import Record
+
 _TOOLS = {"ip": "iproute2", "ss": "iproute2", "nft": "nftables", "conntrack": "conntrack"}
 _NEVER = "never"
 
@@ -56,6 +62,8 @@ class Outcome:
     Attributes:
         lasted: s from the fault's begin to its end.
         steady: whether all topics came back.
+        timeline: when each message of the first topic was published, and when it first came, or None; s from the
+            fault's begin.
     """
 
     transport: str
@@ -65,6 +73,7 @@ class Outcome:
     topics: dict[str, TopicCounts]
     calls: CallCounts
     accounts: dict[str, AccountCounts] = field(default_factory=dict)
+    timeline: list[tuple[float, float | None]] = field(default_factory=list)
 
     def of(self, kind: str) -> list[TopicCounts]:
         """Return the counts of a kind's topics, the one to the server's side first."""
@@ -94,8 +103,11 @@ def main() -> None:
     parser.add_argument("--before", type=float, default=STEADY_BEFORE, help="s of steady traffic before each fault")
     parser.add_argument("--quick", action="store_true", help="TCP, a cut of 1 s and a reset")
     parser.add_argument("--json", type=Path, help="write all counts to this file")
+    parser.add_argument("--record", type=Path, metavar="FOLDER", help="write both recordings of each run there")
     options = parser.parse_args()
     transports = ["tcp"] if options.quick else _known(options.transports, TRANSPORTS)
+    if zenoh_bridge.NAME in transports:
+        zenoh_bridge.check_built()
     faults = ["cut-1", "reset"] if options.quick else _known(options.faults, FAULTS)
     for tool, package in _TOOLS.items():
         if os.geteuid() or shutil.which(tool) is None:
@@ -108,9 +120,10 @@ def main() -> None:
                 if transport == PLAIN and not FAULTS[fault].plain:
                     continue
                 words = f"{transport}, {FAULTS[fault].words}, round {number + 1}"
+                folder = options.record / f"{transport}-{fault}-{number + 1}" if options.record else None
                 print(f"{time.strftime('%H:%M:%S')} {words}", file=sys.stderr, flush=True)
                 try:
-                    outcomes.append(_measured(transport, fault, options.before))
+                    outcomes.append(_measured(transport, fault, options.before, folder))
                 except AssertionError as error:  # one run of many; the table lacks it, and the exit code says so
                     failures.append(f"{words}: {error}")
                     print(failures[-1], file=sys.stderr, flush=True)
@@ -130,12 +143,16 @@ def _known(names: str, allowed: Iterable[str]) -> list[str]:
     return chosen
 
 
-def _measured(transport: str, name: str, before: float) -> Outcome:
+def _measured(transport: str, name: str, before: float, recordings: Path | None) -> Outcome:
     fault = FAULTS[name]
+    if recordings is not None:
+        recordings.mkdir(parents=True)
     try:
         with (
             tempfile.TemporaryDirectory(prefix="rsb-outages-") as folder,
-            OutageBed(Path(folder), transport, translated=fault.translated, two_ways=fault.two_ways) as bed,
+            OutageBed(
+                Path(folder), transport, translated=fault.translated, two_ways=fault.two_ways, recordings=recordings
+            ) as bed,
         ):
             record = bed.record(fault, before)
     except NoHostError as error:
@@ -149,7 +166,17 @@ def _measured(transport: str, name: str, before: float) -> Outcome:
         {each.name: count_topic(record, each.name, each.rate) for each in FLOWS},
         count_calls(record),
         {topic: account for topic, account in accounts.items() if account is not None},
+        _timeline(record),
     )
+
+
+def _timeline(record: Record) -> list[tuple[float, float | None]]:
+    name = FLOWS[0].name
+    came = {number: at for number, _, at in reversed(record.heard[name])}
+    since = [(made, came.get(number)) for number, made in enumerate(record.made[name], 1)]
+    return [
+        ((made - record.began) / 1e9, None if heard is None else (heard - record.began) / 1e9) for made, heard in since
+    ]
 
 
 # --- tables
@@ -181,7 +208,7 @@ def _print(transport: str, outcomes: Sequence[Outcome]) -> None:
             "calls": _calls,
         },
     )
-    if transport != PLAIN and runs:
+    if any(each.accounts for each in outcomes):
         print("\nThe account's sum − published outside, of published; delivered − heard outside; dropped by cause:\n")
         kinds = {
             "reliable 10 Hz": "reliable",

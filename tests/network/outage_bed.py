@@ -6,12 +6,15 @@ causes one fault, waits until traffic is steady again, and returns a `Record` wi
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import time
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import yaml
+from bench import zenoh_bridge
 from tests.network.bridging import PORT, Program
 from tests.network.hosts import Cable, Host
 from tests.network.traffic import SERVICE, Flow, Traffic
@@ -42,7 +45,7 @@ FLOWS = (
     Flow("/down/best", "best", 10, to_robot=True),
 )
 PLAIN = "plain"
-TRANSPORTS = ("tcp", "udp", "zenoh", PLAIN)
+TRANSPORTS = ("tcp", "udp", "zenoh", zenoh_bridge.NAME, PLAIN)
 _KEYS: dict[str, dict[str, Any]] = {
     "whole": {"qos": {"history": "keep_all"}},
     "kept": {"qos": 10, "keep": 60},
@@ -93,7 +96,7 @@ class Fault(NamedTuple):
 
 FAULTS = {
     **{f"cut-{long:g}": Fault(f"link down {long:g} s", "cut", long, plain=True) for long in (0.3, 1, 3, 6, 20, 60)},
-    "reset-0.6": Fault("every connection reset, for 0.6 s", "reset", 0.6),
+    **{f"reset-{long:g}": Fault(f"every connection reset, for {long:g} s", "reset", long) for long in (0.3, 0.6)},
     "reset": Fault("every connection reset, once", "reset"),
     "forget-1": Fault("link down 1 s, the NAT forgets", "cut", 1, translated=True),
     "forget-3": Fault("link down 3 s, the NAT forgets", "cut", 3, translated=True),
@@ -121,7 +124,7 @@ class Record:
         calls: when each was made and answered, or 0, or `traffic.WRONG`; the first one's number is 1.
         offers: when the caller's domain got or lost the service, and which of the two.
         carried_out: the numbers of the calls that the server has had, in its order.
-        accounts: the ledgers of the sending sides at the end, by topic; empty without a bridge.
+        accounts: the ledgers of the sending sides at the end, by topic; empty without our bridge.
     """
 
     began: int
@@ -137,12 +140,34 @@ class Record:
     accounts: dict[str, dict[str, Any]] = field(default_factory=dict)
 
 
+class OtherSide:
+    """A side of zenoh-bridge-ros2dds on a host."""
+
+    def __init__(self, host: Host, domain: int, part: str, address: str) -> None:
+        self._made = host, domain, part, address
+        arguments = zenoh_bridge.arguments(domain, part, f"tcp/{address}:{PORT}")
+        self._process = host.start(sys.executable, *arguments, stdin=subprocess.PIPE)
+
+    def kill(self) -> None:
+        with self._process:
+            self._process.kill()
+
+    def again(self) -> OtherSide:
+        """Start the same side again."""
+        return OtherSide(*self._made)
+
+    close = kill
+
+
 class OutageBed:
     """The machines with all that runs on them, which end with the context.
 
+    Args:
+        transport: of `TRANSPORTS`. With ``plain`` there is no bridge, and all nodes are in one domain.
+        recordings: a folder for ``near.mcap`` and ``far.mcap``, what recorders in both domains have heard.
+
     Attributes:
-        programs: the two sides, by their names.
-        transport: ``tcp``, ``udp`` or ``zenoh``, or ``plain``: no bridge, and all nodes in one domain.
+        programs: the two sides of our bridge, by their names.
     """
 
     def __init__(
@@ -153,21 +178,28 @@ class OutageBed:
         translated: bool = False,
         two_ways: bool = False,
         flows: Sequence[Flow] = FLOWS,
+        recordings: Path | None = None,
     ) -> None:
         self._folder, self.transport, self._translated, self._flows = folder, transport, translated, flows
-        self._two_ways = two_ways
+        self._two_ways, self._recordings = two_ways, recordings
         self._stack = ExitStack()
         self.programs: dict[str, Program] = {}
+        self._others: dict[str, OtherSide] = {}
 
     def __enter__(self) -> Self:
         with ExitStack() as stack:
             self._stack = stack
             self._join()
-            if self.transport != PLAIN:
+            if self.transport == zenoh_bridge.NAME:
+                self._others = {
+                    "server": OtherSide(self._pc, FAR, "listen", _PC),
+                    "client": OtherSide(self._robot, NEAR, "connect", _PC),
+                }
+            elif self.transport != PLAIN:
                 self._write_sessions()
                 for name, host in (("server", self._pc), ("client", self._robot)):
                     self.programs[name] = Program(host, self._folder / f"{name}.yaml")
-                stack.callback(self._end_programs)
+            stack.callback(self._end_programs)
             self._start_traffic()
             self._stack = stack.pop_all()
         return self
@@ -177,10 +209,12 @@ class OutageBed:
     ) -> None:
         if kind is not None:  # programs that an exception leaves in any state end with their hosts
             self.programs.clear()
+            self._others.clear()
         self._stack.__exit__(kind, error, trace)
 
     def _end_programs(self) -> None:
-        for each in self.programs.values():  # as they are now: a killed one has a successor
+        sides: list[Program | OtherSide] = [*self.programs.values(), *self._others.values()]
+        for each in sides:  # as they are now: a killed one has a successor
             each.close()
 
     def _host(self, name: str) -> Host:
@@ -254,15 +288,30 @@ class OutageBed:
         self._caller = self._talkers[1]
         for each in (*self._talkers, *self._listeners):
             self._stack.callback(each.close)
+        self._recorders = [
+            self._recorder(host, about["domain_id"], name)
+            for host, about, name in ((self._robot, for_robot, "near"), (self._pc, for_pc, "far"))
+            if self._recordings is not None
+        ]
         eventually(
             lambda: all(each.tell("matched") for each in (*self._talkers, *self._listeners)),
             _READY_WITHIN,
             "every node has found the others",
         )
+        if not self._others:  # which may bring no service of Fast DDS
+            eventually(lambda: self._caller.tell("served"), _READY_WITHIN, "the caller has found the service")
         for side, flows in (("server", up), ("client", down)):
             if side in self.programs:
                 for flow in flows:
                     self.programs[side].sees_subscriber(flow.name)
+
+    def _recorder(self, host: Host, domain: int, name: str) -> subprocess.Popen[str]:
+        assert self._recordings is not None
+        path = str(self._recordings / f"{name}.mcap")
+        topics = (each.name for each in self._flows)
+        process = host.start(sys.executable, "-m", "bench.recorder", str(domain), path, *topics, stdin=subprocess.PIPE)
+        self._stack.callback(process.kill)
+        return process
 
     def record(self, fault: Fault, before: float = STEADY_BEFORE) -> Record:
         """Cause a fault after `before` s of steady traffic, and wait until traffic is steady again.
@@ -285,7 +334,7 @@ class OutageBed:
         record = Record(*self._cause(fault))
         record.steady = self._is_steady(
             record.ended,
-            _WATCHED_AFTER_KILL if fault.two_ways or fault.kind in self.programs else _WATCHED_AFTER,
+            _WATCHED_AFTER_KILL if fault.two_ways or fault.kind in {"server", "client"} else _WATCHED_AFTER,
         )
         if fault.ends_connections:
             assert not connections & self._far_ends(), f"connections have survived: {fault.words}"
@@ -297,6 +346,8 @@ class OutageBed:
         time.sleep(_DRAINS)
         for each in self._talkers:
             record.made |= each.tell("made")
+        for recorder in self._recorders:
+            recorder.communicate(timeout=_ACCOUNT_WITHIN)
         if self.programs:
             record.accounts = self._accounts()
         for each in self._listeners:
@@ -344,8 +395,9 @@ class OutageBed:
             case "rebind":
                 self._forget()
             case "server" | "client" as side:
-                self.programs[side].kill()
-                self.programs[side] = self.programs[side].again()
+                sides: dict[str, Any] = self.programs or self._others
+                sides[side].kill()
+                sides[side] = sides[side].again()
             case _:
                 raise ValueError(fault.kind)
         if not fault.seconds:

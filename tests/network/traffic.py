@@ -127,8 +127,9 @@ class _Talker:
     def act(self, request: dict[str, Any]) -> object:
         match request["do"]:
             case "matched":
-                called = self._client is None or self._client.service_is_ready()
-                return called and min(each.get_subscription_count() for each in self._publishers.values())
+                return min(each.get_subscription_count() for each in self._publishers.values())
+            case "served":
+                return self._client is None or self._client.service_is_ready()
             case "go":
                 # Topics of one rate do not publish together, as nodes of a robot do not.
                 now = time.monotonic_ns()
