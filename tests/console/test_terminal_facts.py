@@ -106,7 +106,7 @@ def test_answers_among_keys_lose_none(size: int) -> None:
 # -- a command asks
 
 
-def asked(kind: str, answers: tuple[str, ...]) -> tuple[TerminalFacts, bytes]:
+def asked(kind: str, answers: tuple[str, ...], term: str = "xterm-256color") -> tuple[TerminalFacts, bytes]:
     """Return the facts of a terminal that answers so, and what it was asked."""
     master, slave = pty.openpty()
     seen = b""
@@ -124,7 +124,7 @@ def asked(kind: str, answers: tuple[str, ...]) -> tuple[TerminalFacts, bytes]:
     thread = threading.Thread(target=answer)
     thread.start()
     try:
-        return ask(UNKNOWN, slave, slave), seen
+        return ask(UNKNOWN, {"TERM": term}, slave, slave), seen
     finally:
         os.close(slave)
         thread.join()
@@ -141,6 +141,10 @@ def test_screen_is_not_asked_what_it_would_print() -> None:
     assert facts.colours == 16
     assert b"\x1bP" not in seen
     assert b"\x1b_" not in seen
+
+
+def test_terminal_that_would_print_questions_is_not_asked() -> None:
+    assert asked("\x1b[>41;379;0c", XTERM, "vt220") == (UNKNOWN, b"")
 
 
 # -- what the environment and the user say

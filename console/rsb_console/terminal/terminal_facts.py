@@ -229,8 +229,13 @@ def facts_before_answers(environ: Mapping[str, str], terminal: int) -> TerminalF
     return TerminalFacts(colours=colours, cell=_cell_by_kernel(terminal))
 
 
-def ask(facts: TerminalFacts, read_from: int, write_to: int) -> TerminalFacts:
-    """Ask a terminal that nothing else reads from, and return what it answers, without the keys typed before."""
+def ask(facts: TerminalFacts, environ: Mapping[str, str], read_from: int, write_to: int) -> TerminalFacts:
+    """Ask a terminal that nothing else reads from, and return what it answers, without the keys typed before.
+
+    One that would show the questions is not asked.
+    """
+    if not can_be_asked(environ):
+        return facts
     before = termios.tcgetattr(read_from)
     try:
         # This drops the keys typed before, which would be taken for answers.

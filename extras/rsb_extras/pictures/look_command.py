@@ -82,7 +82,7 @@ def look(arguments: Namespace) -> int:
     once = arguments.once or file is not None or not sys.stdout.isatty()
     facts = facts_before_answers(os.environ, 1)
     if sys.stdin.isatty() and sys.stdout.isatty() and file is None and not arguments.json and not arguments.ascii:
-        facts = ask(facts, 0, 1)  # before anything else reads standard input
+        facts = ask(facts, os.environ, 0, 1)  # before anything else reads standard input
     if arguments.ascii or "NO_COLOR" in os.environ or not sys.stdout.isatty():
         facts = replace(facts, colours=0)
     arguments.facts = facts

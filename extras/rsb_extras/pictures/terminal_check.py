@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.model.finding import Finding, Grade
 from rsb_bridge.model.wording import Wording
-from rsb_console.terminal.terminal_facts import TRUE_COLOUR, ask, can_be_asked, facts_before_answers
+from rsb_console.terminal.terminal_facts import TRUE_COLOUR, ask, facts_before_answers
 from rsb_extras.pictures.graphics import protocol_of, why_no_graphics
 
 if TYPE_CHECKING:
@@ -30,10 +30,7 @@ def terminal() -> Iterator[Finding]:
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
         yield Finding("images", Grade.UNKNOWN, "images", TerminalText.NONE())
         return
-    facts = facts_before_answers(os.environ, 1)
-    if can_be_asked(os.environ):
-        facts = ask(facts, 0, 1)
-    yield finding(facts)
+    yield finding(ask(facts_before_answers(os.environ, 1), os.environ, 0, 1))
 
 
 def finding(facts: TerminalFacts) -> Finding:
