@@ -15,7 +15,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 export OTHER_PYTHON
 
 .PHONY: demo demo-fleet test test-all on-all test-kilted on-kilted test-quick test-core on-core coverage test-wire quick-lint types lint soak fuzz \
-  bench peers dist deb lock screenshots texts man system clean
+  bench peers dist deb lock screenshots texts plots man system clean
 demo: $(STAMP)
 	$(BIN)/rsb-console demo
 demo-fleet: $(STAMP)
@@ -86,7 +86,7 @@ peers:
 dist deb lock:
 	.ci/release.sh $@
 # Pictures of real terminals also need Xvfb, kitty, xterm, ImageMagick and DejaVu's font; without them, it draws the others.
-screenshots texts: $(STAMP)
+screenshots texts plots: $(STAMP)
 	$(BIN)/python docs/$@.py
 man: $(STAMP)
 	$(BIN)/python docs/manpage.py

@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bench import zenoh_bridge
+from bench import installed_bridges, zenoh_bridge
 
 from rsb_console.session.demo_session import free_port
 from rsb_console.simulated.processes import Process
@@ -100,6 +100,14 @@ def _zenoh_bridge(near: int, far: int, *, tls: bool = False) -> Iterator[Bed]:
         yield ready(bed)
 
 
+@contextlib.contextmanager
+def _installed(name: str, near: int, far: int) -> Iterator[Bed]:
+    """Put a bridge of the ROS installation between talker and listener."""
+    with loopback.ends(near, far) as bed, installed_bridges.between(name, near, far, TOPIC) as between:
+        bed.between += between
+        yield ready(bed)
+
+
 BEDS: dict[str, Callable[[int, int], AbstractContextManager[Bed]]] = {
     "drained": lambda near, _: loopback.direct(near),
     "relay": relayed,
@@ -113,6 +121,7 @@ BEDS: dict[str, Callable[[int, int], AbstractContextManager[Bed]]] = {
     "thesis": _thesis,
     zenoh_bridge.NAME: _zenoh_bridge,
     zenoh_bridge.WITH_TLS: partial(_zenoh_bridge, tls=True),
+    **{name: partial(_installed, name) for name in (installed_bridges.DOMAIN_BRIDGE, installed_bridges.ROSBRIDGE)},
 }
 """By name, for a talker's and a listener's domain. Without a bridge, both are in the talker's domain."""
 OURS = ("tcp", "udp", "zenoh", "zenoh-router", "zenoh-drop")

@@ -25,6 +25,7 @@ import argparse
 import json
 import os
 import shutil
+import subprocess
 import sys
 import tempfile
 import time
@@ -35,8 +36,9 @@ from statistics import median
 from typing import TYPE_CHECKING, Any
 
 from bench import zenoh_bridge
+from tests.network.bridging import PORT
 from tests.network.hosts import NoHostError
-from tests.network.outage_bed import FAULTS, FLOWS, PLAIN, STEADY_BEFORE, TRANSPORTS, OutageBed
+from tests.network.outage_bed import FAR, FAULTS, FLOWS, NEAR, PLAIN, STEADY_BEFORE, TRANSPORTS, OutageBed
 from tests.network.outage_counts import (
     AccountCounts,
     CallCounts,
@@ -49,10 +51,31 @@ from tests.network.outage_counts import (
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
+    from tests.network.hosts import Host
     from tests.network.outage_bed import Record
 
 _TOOLS = {"ip": "iproute2", "ss": "iproute2", "nft": "nftables", "conntrack": "conntrack"}
 _NEVER = "never"
+_TRANSPORTS = (*TRANSPORTS, zenoh_bridge.NAME)
+
+
+class _ZenohBridge:
+    """A side of zenoh-bridge-ros2dds on a host."""
+
+    def __init__(self, host: Host, part: str, address: str) -> None:
+        self._made = host, part, address
+        domain = FAR if part == "listen" else NEAR
+        arguments = zenoh_bridge.arguments(domain, part, f"tcp/{address}:{PORT}")
+        self._process = host.start(sys.executable, *arguments, stdin=subprocess.PIPE)
+
+    def kill(self) -> None:
+        with self._process:
+            self._process.kill()
+
+    def again(self) -> _ZenohBridge:
+        return _ZenohBridge(*self._made)
+
+    close = kill
 
 
 @dataclass
@@ -62,8 +85,8 @@ class Outcome:
     Attributes:
         lasted: s from the fault's begin to its end.
         steady: whether all topics came back.
-        timeline: when each message of the first topic was published, and when it first came, or None; s from the
-            fault's begin.
+        timelines: when each message to the server's side was published, and when it first came, or None; s from the
+            fault's begin, by the kind of topic.
     """
 
     transport: str
@@ -73,7 +96,7 @@ class Outcome:
     topics: dict[str, TopicCounts]
     calls: CallCounts
     accounts: dict[str, AccountCounts] = field(default_factory=dict)
-    timeline: list[tuple[float, float | None]] = field(default_factory=list)
+    timelines: dict[str, list[tuple[float, float | None]]] = field(default_factory=dict)
 
     def of(self, kind: str) -> list[TopicCounts]:
         """Return the counts of a kind's topics, the one to the server's side first."""
@@ -97,7 +120,7 @@ class Outcome:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--transports", default="tcp,udp,zenoh", help=", ".join(TRANSPORTS))
+    parser.add_argument("--transports", default="tcp,udp,zenoh", help=", ".join(_TRANSPORTS))
     parser.add_argument("--faults", default=",".join(FAULTS), help=", ".join(FAULTS))
     parser.add_argument("--rounds", type=int, default=1)
     parser.add_argument("--before", type=float, default=STEADY_BEFORE, help="s of steady traffic before each fault")
@@ -105,7 +128,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="write all counts to this file")
     parser.add_argument("--record", type=Path, metavar="FOLDER", help="write both recordings of each run there")
     options = parser.parse_args()
-    transports = ["tcp"] if options.quick else _known(options.transports, TRANSPORTS)
+    transports = ["tcp"] if options.quick else _known(options.transports, _TRANSPORTS)
     if zenoh_bridge.NAME in transports:
         zenoh_bridge.check_built()
     faults = ["cut-1", "reset"] if options.quick else _known(options.faults, FAULTS)
@@ -129,7 +152,7 @@ def main() -> None:
                     print(failures[-1], file=sys.stderr, flush=True)
                 if options.json:
                     found = {"runs": [each.as_json() for each in outcomes], "failures": failures}
-                    options.json.write_text(json.dumps(found, indent=1), encoding="utf-8")
+                    options.json.write_text(json.dumps(found), encoding="utf-8")
     for transport in transports:
         _print(transport, [each for each in outcomes if each.transport == transport])
     if failures:
@@ -151,7 +174,12 @@ def _measured(transport: str, name: str, before: float, recordings: Path | None)
         with (
             tempfile.TemporaryDirectory(prefix="rsb-outages-") as folder,
             OutageBed(
-                Path(folder), transport, translated=fault.translated, two_ways=fault.two_ways, recordings=recordings
+                Path(folder),
+                transport,
+                translated=fault.translated,
+                two_ways=fault.two_ways,
+                other=_ZenohBridge if transport == zenoh_bridge.NAME else None,
+                recordings=recordings,
             ) as bed,
         ):
             record = bed.record(fault, before)
@@ -166,16 +194,19 @@ def _measured(transport: str, name: str, before: float, recordings: Path | None)
         {each.name: count_topic(record, each.name, each.rate) for each in FLOWS},
         count_calls(record),
         {topic: account for topic, account in accounts.items() if account is not None},
-        _timeline(record),
+        {kind: _timeline(record, f"/up/{kind}") for kind in ("reliable", "whole")},
     )
 
 
-def _timeline(record: Record) -> list[tuple[float, float | None]]:
-    name = FLOWS[0].name
-    came = {number: at for number, _, at in reversed(record.heard[name])}
-    since = [(made, came.get(number)) for number, made in enumerate(record.made[name], 1)]
+def _timeline(record: Record, topic: str) -> list[tuple[float, float | None]]:
+    came = {number: at for number, _, at in reversed(record.heard[topic])}
+
+    def since(at: int) -> float:
+        return round((at - record.began) / 1e9, 3)
+
     return [
-        ((made - record.began) / 1e9, None if heard is None else (heard - record.began) / 1e9) for made, heard in since
+        (since(made), since(came[number]) if number in came else None)
+        for number, made in enumerate(record.made[topic], 1)
     ]
 
 

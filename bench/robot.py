@@ -145,8 +145,13 @@ class Run:
         return delays[len(delays) // 2], delays[len(delays) * 99 // 100], part
 
     def as_json(self) -> dict[str, Any]:
-        cells = {row: dict(zip(("p50", "p99", "part"), self.cell(row), strict=True)) for row in self.made}
-        return {"rows": cells, "bytes": self.bytes, "cpu": self.cpu, "lost": self.lost}
+        cells = {row: self.cell(row) for row in self.made}
+        rows = {
+            # JSON has no NaN.
+            row: {"p50": p50, "p99": p99, "part": part} if part else {"p50": None, "p99": None, "part": 0.0}
+            for row, (p50, p99, part) in cells.items()
+        }
+        return {"rows": rows, "bytes": self.bytes, "cpu": self.cpu, "lost": self.lost}
 
 
 def main() -> None:

@@ -54,7 +54,7 @@ class Load(NamedTuple):
 
 
 SMALL = (Load(100, 2_500, 2.0), *(Load(rate, 2_500) for rate in (1_000, 5_000, 10_000, 20_000)))
-LARGE = (Load(1_000, 100_000), Load(100, 1_000_000), Load(250, 1_000_000), Load(30, 6_000_000))
+LARGE = (Load(1_000, 100_000), Load(3_000, 100_000), Load(100, 1_000_000), Load(250, 1_000_000), Load(30, 6_000_000))
 
 
 def main() -> None:

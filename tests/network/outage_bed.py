@@ -11,10 +11,9 @@ import sys
 import time
 from contextlib import ExitStack
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self
 
 import yaml
-from bench import zenoh_bridge
 from tests.network.bridging import PORT, Program
 from tests.network.hosts import Cable, Host
 from tests.network.traffic import SERVICE, Flow, Traffic
@@ -23,10 +22,9 @@ from tests.support.waiting import eventually
 from rsb_bridge.config.keys import write_key
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
     from pathlib import Path
     from types import TracebackType
-    from typing import Self
 
 NEAR, FAR = 80, 81
 _ROBOT, _NEW_ROBOT, _AT_ROBOT = "10.99.1.2", "10.99.1.3", "10.99.1.1"
@@ -45,7 +43,7 @@ FLOWS = (
     Flow("/down/best", "best", 10, to_robot=True),
 )
 PLAIN = "plain"
-TRANSPORTS = ("tcp", "udp", "zenoh", zenoh_bridge.NAME, PLAIN)
+TRANSPORTS = ("tcp", "udp", "zenoh", PLAIN)
 _KEYS: dict[str, dict[str, Any]] = {
     "whole": {"qos": {"history": "keep_all"}},
     "kept": {"qos": 10, "keep": 60},
@@ -140,34 +138,26 @@ class Record:
     accounts: dict[str, dict[str, Any]] = field(default_factory=dict)
 
 
-class OtherSide:
-    """A side of zenoh-bridge-ros2dds on a host."""
+class Side(Protocol):
+    """One of the two ends of a bridge: our `Program`, or another bridge's."""
 
-    def __init__(self, host: Host, domain: int, part: str, address: str) -> None:
-        self._made = host, domain, part, address
-        arguments = zenoh_bridge.arguments(domain, part, f"tcp/{address}:{PORT}")
-        self._process = host.start(sys.executable, *arguments, stdin=subprocess.PIPE)
+    def kill(self) -> None: ...
 
-    def kill(self) -> None:
-        with self._process:
-            self._process.kill()
-
-    def again(self) -> OtherSide:
+    def again(self) -> Self:
         """Start the same side again."""
-        return OtherSide(*self._made)
 
-    close = kill
+    def close(self) -> None: ...
 
 
 class OutageBed:
     """The machines with all that runs on them, which end with the context.
 
     Args:
-        transport: of `TRANSPORTS`. With ``plain`` there is no bridge, and all nodes are in one domain.
+        transport: of `TRANSPORTS`, or a name for what `other` makes. With ``plain`` there is no bridge, and all nodes
+            are in one domain.
+        other: makes the side of another bridge that listens on the server's machine in `FAR`, or that connects to it
+            from the robot in `NEAR`, at an address and `PORT`.
         recordings: a folder for ``near.mcap`` and ``far.mcap``, what recorders in both domains have heard.
-
-    Attributes:
-        programs: the two sides of our bridge, by their names.
     """
 
     def __init__(
@@ -178,28 +168,26 @@ class OutageBed:
         translated: bool = False,
         two_ways: bool = False,
         flows: Sequence[Flow] = FLOWS,
+        other: Callable[[Host, str, str], Side] | None = None,
         recordings: Path | None = None,
     ) -> None:
         self._folder, self.transport, self._translated, self._flows = folder, transport, translated, flows
-        self._two_ways, self._recordings = two_ways, recordings
+        self._two_ways, self._other, self._recordings = two_ways, other, recordings
         self._stack = ExitStack()
-        self.programs: dict[str, Program] = {}
-        self._others: dict[str, OtherSide] = {}
+        self._sides: dict[str, Side] = {}
 
     def __enter__(self) -> Self:
         with ExitStack() as stack:
             self._stack = stack
             self._join()
-            if self.transport == zenoh_bridge.NAME:
-                self._others = {
-                    "server": OtherSide(self._pc, FAR, "listen", _PC),
-                    "client": OtherSide(self._robot, NEAR, "connect", _PC),
-                }
+            hosts = {"server": self._pc, "client": self._robot}
+            if self._other is not None:
+                parts = {"server": "listen", "client": "connect"}
+                self._sides = {name: self._other(host, parts[name], _PC) for name, host in hosts.items()}
             elif self.transport != PLAIN:
                 self._write_sessions()
-                for name, host in (("server", self._pc), ("client", self._robot)):
-                    self.programs[name] = Program(host, self._folder / f"{name}.yaml")
-            stack.callback(self._end_programs)
+                self._sides = {name: Program(host, self._folder / f"{name}.yaml") for name, host in hosts.items()}
+            stack.callback(self._end_sides)
             self._start_traffic()
             self._stack = stack.pop_all()
         return self
@@ -208,13 +196,16 @@ class OutageBed:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if kind is not None:  # programs that an exception leaves in any state end with their hosts
-            self.programs.clear()
-            self._others.clear()
+            self._sides.clear()
         self._stack.__exit__(kind, error, trace)
 
-    def _end_programs(self) -> None:
-        sides: list[Program | OtherSide] = [*self.programs.values(), *self._others.values()]
-        for each in sides:  # as they are now: a killed one has a successor
+    @property
+    def programs(self) -> dict[str, Program]:
+        """The two sides of our bridge, by their names, if it is ours."""
+        return {name: each for name, each in self._sides.items() if isinstance(each, Program)}
+
+    def _end_sides(self) -> None:
+        for each in self._sides.values():  # as they are now: a killed one has a successor
             each.close()
 
     def _host(self, name: str) -> Host:
@@ -298,12 +289,13 @@ class OutageBed:
             _READY_WITHIN,
             "every node has found the others",
         )
-        if not self._others:  # which may bring no service of Fast DDS
+        if self._other is None:  # which may bring no service of Fast DDS
             eventually(lambda: self._caller.tell("served"), _READY_WITHIN, "the caller has found the service")
+        programs = self.programs
         for side, flows in (("server", up), ("client", down)):
-            if side in self.programs:
+            if side in programs:
                 for flow in flows:
-                    self.programs[side].sees_subscriber(flow.name)
+                    programs[side].sees_subscriber(flow.name)
 
     def _recorder(self, host: Host, domain: int, name: str) -> subprocess.Popen[str]:
         assert self._recordings is not None
@@ -395,9 +387,8 @@ class OutageBed:
             case "rebind":
                 self._forget()
             case "server" | "client" as side:
-                sides: dict[str, Any] = self.programs or self._others
-                sides[side].kill()
-                sides[side] = sides[side].again()
+                self._sides[side].kill()
+                self._sides[side] = self._sides[side].again()
             case _:
                 raise ValueError(fault.kind)
         if not fault.seconds:
@@ -446,7 +437,8 @@ class OutageBed:
 
     def _accounts(self) -> dict[str, dict[str, Any]]:
         """Return the ledgers of the sending sides, once nothing is in flight or some time has passed."""
-        senders = {each.name: self.programs["server" if each.to_robot else "client"] for each in self._flows}
+        programs = self.programs
+        senders = {each.name: programs["server" if each.to_robot else "client"] for each in self._flows}
         asked, deadline = time.time(), time.monotonic() + _ACCOUNT_WITHIN
         while True:
             rows = {name: program.route(name) for name, program in senders.items()}
