@@ -9,7 +9,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 from textwrap import fill
-from typing import TYPE_CHECKING, Self, TextIO
+from typing import TYPE_CHECKING, Self, TextIO, get_args
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.files import why_not_written, write_whole
@@ -19,10 +19,11 @@ from rsb_bridge.control.remote_engine import attach
 from rsb_bridge.model.names import file_stem
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import one_line
+from rsb_bridge.model.transports import Protocol, named
 from rsb_console.command.shell import FAILURE, INTERRUPTED, OK, TERMINATED, USAGE, print_error, print_line, print_lines
 from rsb_console.command.target import UsageError, attached, check_link, failed
 from rsb_console.simulated.processes import ProcessError
-from rsb_extras.bench.loopback import Loopback, machine, ros_problem
+from rsb_extras.bench.loopback import TRANSPORTS, Loopback, machine, ros_problem
 from rsb_extras.bench.presentation import USUAL, as_svg, in_terminal, in_words, judge, lines_of
 from rsb_extras.bench.results import BenchError, BenchReport, as_json
 from rsb_extras.bench.suite import FULL, QUICK, OverLink, Plan, Suite, loads_of, loads_of_all, ways_of
@@ -108,16 +109,24 @@ def _on_this_machine(arguments: Namespace) -> int:
     if problem := ros_problem():
         raise BenchError(problem)
     near, far = arguments.domains or _DOMAINS
-    transports = arguments.transports or ("tcp", "udp")
-    if others := [name for name in transports if name not in ("tcp", "udp")]:
+    if others := [name for name in arguments.transports if name not in TRANSPORTS]:
         message = f"{others[0]} can be measured only over a link: name that link's session"
         return failed(arguments, message, USAGE)
+    transports = arguments.transports or tuple(name for name in TRANSPORTS if not _lack(name))
+    for name in transports:
+        if lack := _lack(name):
+            raise BenchError(f"{name}: {lack}")
     if arguments.direction != "transmit":
         return failed(arguments, "on one machine both directions are the same: leave --direction out", USAGE)
     loads = _loads_of_running_bridges()
     report = BenchReport("This machine, two bridges over loopback", machine())
     code = _measure(Loopback(transports, (near, far)), report, _plan(arguments))
     return _finish(report, loads or USUAL, "this machine", arguments, code, together=bool(loads))
+
+
+def _lack(transport: str) -> str:
+    """Return what this installation lacks for a transport, or an empty string."""
+    return named(transport).missing() if transport in get_args(Protocol) else "its feature is not installed"
 
 
 def _over_link(arguments: Namespace) -> int:

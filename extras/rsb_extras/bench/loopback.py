@@ -22,7 +22,7 @@ from rsb_extras.bench.benchmark import Bench, BenchmarkStep
 from rsb_extras.bench.results import BenchError, Many, Run, Side, Way
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
     from contextlib import AbstractContextManager
 
     from rsb_bridge.control.remote_engine import RemoteEngine
@@ -33,6 +33,8 @@ TOPIC = "/bench"
 TRAFFIC = "rsb_extras.bench.measured_stream"
 ZenohPath: TypeAlias = Literal["", "peer", "router"]
 """How two sides meet over Zenoh: not at all, the client connects to the server, or both to a router."""
+TRANSPORTS: Mapping[str, ZenohPath] = {"tcp": "", "udp": "", "zenoh": "peer"}
+"""The transports that one machine can measure, and how the two sides meet."""
 _TYPE = "std_msgs/msg/String"
 _DEPTH = 2000  # messages, as in all figures of bench/README.md
 _HISTORY = 64 << 20
@@ -261,6 +263,7 @@ class Loopback:
     """Two domains of this machine.
 
     Args:
+        transports: of `TRANSPORTS`.
         domains: two ROS domains, free of other nodes.
     """
 
@@ -276,7 +279,7 @@ class Loopback:
         return direct(self._near, sizes)
 
     def open(self, way: Way, sizes: list[int]) -> AbstractContextManager[BenchEnds]:
-        return bridged(way.transport, self._near, self._far, sizes)
+        return bridged(way.transport, self._near, self._far, sizes, zenoh=TRANSPORTS[way.transport])
 
     def many(self, count: int) -> Many:
         prefix = f"{TOPIC}_{os.getpid()}/topic_"

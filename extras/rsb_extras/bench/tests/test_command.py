@@ -103,20 +103,21 @@ def test_a_bridge_that_does_not_run_is_named() -> None:
     )
 
 
-def test_a_short_run_on_this_machine(tmp_path: Path, spare_domains: int) -> None:
+@pytest.mark.parametrize("transport", ["tcp", "zenoh"])
+def test_a_short_run_on_this_machine(transport: str, tmp_path: Path, spare_domains: int) -> None:
     near = spare_domains
     plot = tmp_path / "plot.svg"
     code, output, errors = bench(
-        *TINY, "--quick", "--transports", "tcp", "--domains", f"{near},{near + 1}", "--plot", str(plot)
+        *TINY, "--quick", "--transports", transport, "--domains", f"{near},{near + 1}", "--plot", str(plot)
     )
     assert code == 0, output or errors
     report = msgspec.json.decode(output, type=BenchReport)
     (point,) = report.points
-    assert (point.transport, point.size) == ("tcp", 2500)
+    assert (point.transport, point.size) == (transport, 2500)
     assert point.gentle.lossless
     assert 0 < point.gentle.p50 <= point.gentle.p99
     assert point.base is not None
-    sending, receiving = report.sides["tcp"]
+    sending, receiving = report.sides[transport]
     assert sending.memory > 10
     assert receiving.listening is not None
     assert receiving.first is not None
