@@ -210,7 +210,12 @@ def battery_state(charge: float) -> bytes:
 
 
 def stamped_string(size: int) -> bytes:
-    """Serialize a String of `size` bytes, at least 20, whose first digits are the time now (monotonic ns)."""
+    """Serialize a String whose first digits are the time now (monotonic ns).
+
+    Args:
+        size: of the String with its final zero byte; it is rounded up to a multiple of 4, at least 24. DDS pads other
+            messages between processes, so that one would arrive with other bytes than were sent.
+    """
     header, rest = _string_frame(size)
     return b"%b%020d%b" % (header, time.monotonic_ns(), rest)
 
@@ -222,5 +227,5 @@ def made_at(payload: bytes) -> int:
 
 @lru_cache(maxsize=16)
 def _string_frame(size: int) -> tuple[bytes, bytes]:
-    whole = serialize_string(b"x" * max(size, _DIGITS))
+    whole = serialize_string(b"x" * ((max(size, _DIGITS + 1) + 3) // 4 * 4 - 1))
     return whole[:_BEFORE], whole[_BEFORE + _DIGITS :]

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 TRANSPORTS = get_args(Protocol)
 _UNITS = {"": 1, "b": 1, "k": 1_000, "kb": 1_000, "m": 1_000_000, "mb": 1_000_000}
-_LEAST, _MOST = 64, 16_000_000  # bytes; a stamp needs 20 (`cdr.known_types`), a bridge takes 16 MiB (`benchmark`)
+_LEAST, _MOST = 64, 16_000_000  # bytes; a stamp needs 24 (`cdr.known_types`), a bridge takes 16 MiB (`benchmark`)
 _MOST_DOMAIN = 101  # from 102 on, Linux gives a domain's ports to other programs
 _MOST_TOPICS = 500  # as many as were ever measured: bench/README.md, Opening 500 topics
 _BENCH = """\

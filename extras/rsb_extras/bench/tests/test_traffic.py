@@ -20,6 +20,17 @@ def test_leftovers_of_earlier_run_do_not_count() -> None:
     assert (arrivals.count, len(arrivals.latencies)) == (1, 1)
 
 
+@pytest.mark.parametrize(
+    ("size", "length"), [(0, 24), (20, 24), (24, 24), (25, 28), (26, 28), (27, 28), (28, 28), (2500, 2500)]
+)
+def test_length_of_message_needs_no_padding(size: int, length: int) -> None:
+    message = stamped_string(size)
+    # The encapsulation header and the String's length before it.
+    assert len(message) == 4 + 4 + length
+    assert int.from_bytes(message[4:8], "little") == length
+    assert message.endswith(b"x\0")
+
+
 class _Publishing:
     """A node whose publishers keep what they publish."""
 
