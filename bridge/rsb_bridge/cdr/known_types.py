@@ -209,15 +209,16 @@ def battery_state(charge: float) -> bytes:
     return _BATTERY_LAYOUT.pack(b"\0\1\0\0", 0, 0, 1, *_NOT_MEASURED, charge, 0, 0, 0, True, 0, 0, 1, 1)
 
 
-def stamped_string(size: int) -> bytes:
-    """Serialize a String whose first digits are the time now (monotonic ns).
+def stamped_string(size: int, made: int | None = None) -> bytes:
+    """Serialize a String whose first digits are the time when it was made.
 
     Args:
         size: of the String with its final zero byte; it is rounded up to a multiple of 4, at least 24. DDS pads other
             messages between processes, so that one would arrive with other bytes than were sent.
+        made: monotonic ns, or None for now.
     """
     header, rest = _string_frame(size)
-    return b"%b%020d%b" % (header, time.monotonic_ns(), rest)
+    return b"%b%020d%b" % (header, time.monotonic_ns() if made is None else made, rest)
 
 
 def made_at(payload: bytes) -> int:

@@ -61,6 +61,8 @@ def add_bench_command(command: AddCommand, complete: Complete) -> None:
     own = "two unused ROS domains on this machine (92,93)"
     parser.add_argument("--domains", type=domains, metavar="A,B", help=own)
     parser.add_argument("--plot", type=Path, metavar="FILE.svg", help="also draw a plot")
+    both = "on this machine: also write the messages of all runs, to FILE-near.mcap and FILE-far.mcap"
+    parser.add_argument("--record", type=Path, metavar="FILE.mcap", help=both)
     parser.add_argument("--json", action="store_true", help="print JSON, for programs")
 
 

@@ -5,14 +5,16 @@ from __future__ import annotations
 import contextlib
 import shutil
 import sys
+import tempfile
 import time
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING, Self, TextIO, get_args
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.config.files import why_not_written, write_whole
+from rsb_bridge.config.files import is_there, why_not_written, write_whole
 from rsb_bridge.config.session_file import SessionError, load
 from rsb_bridge.control.bridges import running_bridges
 from rsb_bridge.control.remote_engine import attach
@@ -20,7 +22,17 @@ from rsb_bridge.model.names import file_stem
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import one_line
 from rsb_bridge.model.transports import Protocol, named
-from rsb_console.command.shell import FAILURE, INTERRUPTED, OK, TERMINATED, USAGE, print_error, print_line, print_lines
+from rsb_console.command.shell import (
+    FAILURE,
+    INTERRUPTED,
+    OK,
+    TERMINATED,
+    USAGE,
+    CommandText,
+    print_error,
+    print_line,
+    print_lines,
+)
 from rsb_console.command.target import UsageError, attached, check_link, failed
 from rsb_console.simulated.processes import ProcessError
 from rsb_extras.bench.loopback import TRANSPORTS, Loopback, machine, ros_problem
@@ -30,11 +42,12 @@ from rsb_extras.bench.suite import FULL, QUICK, OverLink, Plan, Suite, loads_of,
 
 if TYPE_CHECKING:
     from argparse import Namespace
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
     from types import TracebackType
 
     from rsb_bridge.control.remote_engine import RemoteEngine
     from rsb_bridge.model.snapshot import LinkSnapshot, Snapshot
+    from rsb_extras.bench.bench_recording import BenchRecording
     from rsb_extras.bench.results import BenchPlace, Load
 
 _ERASE = "\r\x1b[K"
@@ -77,7 +90,8 @@ class Progress:
 def bench(arguments: Namespace) -> int:
     """Measure and print the results. Return the exit code."""
     here = arguments.bridge is None and arguments.control is None and arguments.way is None
-    if problem := _plot_problem(arguments.plot) or _misplaced(arguments, here=here):
+    problem = _misplaced(arguments, here=here) or _plot_problem(arguments.plot) or _record_problem(arguments.record)
+    if problem:
         return failed(arguments, problem, USAGE)
     try:
         return _on_this_machine(arguments) if here else _over_link(arguments)
@@ -96,12 +110,31 @@ def _plot_problem(path: Path | None) -> str:
     return "" if path.parent.is_dir() else f"{path}: there is no such folder"
 
 
+def _record_problem(path: Path | None) -> str:
+    """Return the reason why no recordings can be written there, or an empty string, as `_plot_problem`."""
+    if path is None:
+        return ""
+    if path.suffix.lower() != ".mcap":
+        return f"{path}: recordings are MCAP files; choose a name that ends in .mcap"
+    if not path.parent.is_dir():
+        return f"{path}: there is no such folder"
+    there = [each for each in _recordings(path) if is_there(each)]
+    return f"{there[0]}: there is such a file already; choose another name" if there else ""
+
+
+def _recordings(path: Path) -> tuple[Path, Path]:
+    """Return the paths of the talker's and the listener's recording."""
+    near, far = (path.with_name(f"{path.stem}-{side}{path.suffix}") for side in ("near", "far"))
+    return near, far
+
+
 def _misplaced(arguments: Namespace, *, here: bool) -> str:
     """Return the problem of an argument that does not fit this kind of benchmark, or an empty string."""
     if here and arguments.link:
         return "--link needs the name of the bridge whose link to measure, for example: rsb-console bench control"
-    if not here and (arguments.topics is not None or arguments.domains is not None):
-        return "--topics and --domains are for a benchmark on one machine: leave them out, or the name of the bridge"
+    of_machine = [f"--{name}" for name in ("topics", "domains", "record") if getattr(arguments, name) is not None]
+    if not here and of_machine:
+        return f"{of_machine[0]} is for a benchmark on one machine: leave it out, or the name of the bridge"
     return ""
 
 
@@ -118,15 +151,53 @@ def _on_this_machine(arguments: Namespace) -> int:
             raise BenchError(f"{name}: {lack}")
     if arguments.direction != "transmit":
         return failed(arguments, "on one machine both directions are the same: leave --direction out", USAGE)
+    if arguments.record is not None and (lack := _lack_to_record()):
+        raise BenchError(lack)
     loads = _loads_of_running_bridges()
     report = BenchReport("This machine, two bridges over loopback", machine())
-    code = _measure(Loopback(transports, (near, far)), report, _plan(arguments))
+    with _recording(arguments.record, report) as recording:
+        code = _measure(Loopback(transports, (near, far), recording), report, _plan(arguments))
+        if recording is not None:
+            code = _write(recording, arguments.record, report, code)
     return _finish(report, loads or USUAL, "this machine", arguments, code, together=bool(loads))
 
 
 def _lack(transport: str) -> str:
     """Return what this installation lacks for a transport, or an empty string."""
     return named(transport).missing() if transport in get_args(Protocol) else "its feature is not installed"
+
+
+def _lack_to_record() -> str:
+    """Return what this installation lacks for recordings, or an empty string."""
+    if find_spec("rsb_extras.recording") is None:
+        return CommandText.OF_FEATURE(word="--record", feature="recording")
+    return "" if find_spec("mcap") else "mcap is not installed: pip install 'rsb-console[record]'"
+
+
+@contextlib.contextmanager
+def _recording(path: Path | None, report: BenchReport) -> Iterator[BenchRecording | None]:
+    """What records the report's runs, or None without a path."""
+    if path is None:
+        yield None
+        return
+    from rsb_extras.bench.bench_recording import BenchRecording  # noqa: PLC0415 -- of a feature that may not be there
+
+    with tempfile.TemporaryDirectory(prefix="rsb-bench-") as folder:
+        yield BenchRecording(*_recordings(path), Path(folder), report, time.time_ns() - time.monotonic_ns())
+
+
+def _write(recording: BenchRecording, path: Path, report: BenchReport, code: int) -> int:
+    """Write the recordings; without them, the results are printed all the same. Return the exit code."""
+    with Progress(getattr(sys.stderr, "raw", sys.stderr)) as progress:
+        try:
+            recording.write(progress.show)
+        except OSError as error:
+            report.notes.append(f"{path}: the recordings are not written: {why_not_written(error, path)}")
+            return FAILURE
+        except (KeyboardInterrupt, SystemExit) as error:
+            report.notes.append(f"{path}: the recordings are not written: interrupted")
+            return INTERRUPTED if isinstance(error, KeyboardInterrupt) else TERMINATED
+    return code
 
 
 def _over_link(arguments: Namespace) -> int:
@@ -252,6 +323,8 @@ def _finish(
             print_line(line)
         for line in report.verdict:
             print_lines(fill(line, width, break_long_words=False, break_on_hyphens=False))
+        if report.recordings:
+            print_line(f"Recordings: {', '.join(report.recordings)}")
         for line in (*report.notes, *_ending(report)):
             print_error(line)
     if arguments.plot is not None:

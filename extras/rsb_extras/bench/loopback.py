@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.control.remote_engine import RemoteEngine
     from rsb_bridge.model.snapshot import Snapshot
+    from rsb_extras.bench.bench_recording import BenchRecording, KeptRun
     from rsb_extras.bench.results import BenchEnds
 
 TOPIC = "/bench"
@@ -65,6 +66,8 @@ class Bed:
         started: start of the first of `between`, in seconds of the monotonic clock.
         listening: seconds until the receiving bridge listened.
         first: seconds until the first message was through.
+        transport: a word of the topics in the recording.
+        recording: gets the messages of the runs that have a `part`, or None.
     """
 
     talker: Process
@@ -75,20 +78,28 @@ class Bed:
     started: float = 0.0
     listening: float | None = None
     first: float | None = None
+    transport: str = ""
+    recording: BenchRecording | None = None
 
-    def send(self, rate: float, seconds: float, size: int) -> Run:
+    def send(self, rate: float, seconds: float, size: int, part: str = "") -> Run:
         """Send for a while, wait until no more messages come, and return the counts."""
-        self.listener.ask("reset")
-        before = [process.cpu() for process in self.between]
         count = max(1, int(rate * seconds))
-        reached = self.talker.ask(f"send {rate} {count} {size} {self.topics.get(size, 0)}")["rate"]
+        kept: KeptRun | None = None
+        if self.recording is not None and part:
+            topic = f"{TOPIC}/{self.transport}/bytes_{size}/{part}_{rate:.0f}_hz"
+            kept = self.recording.keep(topic, depth_of(size))
+        self.listener.ask("reset" if kept is None else f"reset {size}")
+        before = [process.cpu() for process in self.between]
+        order = f"send {rate} {count} {size} {self.topics.get(size, 0)}"
+        reached = self.talker.ask(order if kept is None else f"{order} {kept.near}")["rate"]
         # At a low rate, two messages may be further apart than `_QUIET`.
         self._settle(count, max(_QUIET, 2 / rate))
         used = [process.cpu() - then for process, then in zip(self.between, before, strict=True)]
-        report = self.listener.ask("report")
+        report = self.listener.ask("report" if kept is None else f"report {kept.far}")
         sides = (used[0], sum(used[1:])) if used else (0.0, 0.0)
         p50, p99, p999 = (report[name] / 1e6 for name in ("p50", "p99", "p999"))
-        return Run(size, count, int(report["count"]), reached, p50, p99, p999, sides)
+        topic = kept.topic if kept is not None and report["kept"] else ""
+        return Run(size, count, int(report["count"]), reached, p50, p99, p999, sides, topic=topic)
 
     def _settle(self, count: int, quiet: float) -> None:
         """Wait until all messages have come, or no message has come for some seconds."""
@@ -265,11 +276,15 @@ class Loopback:
     Args:
         transports: of `TRANSPORTS`.
         domains: two ROS domains, free of other nodes.
+        recording: gets the messages of each run, or None.
     """
 
-    def __init__(self, transports: tuple[str, ...], domains: tuple[int, int]) -> None:
+    def __init__(
+        self, transports: tuple[str, ...], domains: tuple[int, int], recording: BenchRecording | None = None
+    ) -> None:
         self._transports = transports
         self._near, self._far = domains
+        self._recording = recording
 
     @property
     def ways(self) -> list[Way]:
@@ -278,8 +293,11 @@ class Loopback:
     def baseline(self, sizes: list[int]) -> AbstractContextManager[BenchEnds]:
         return direct(self._near, sizes)
 
-    def open(self, way: Way, sizes: list[int]) -> AbstractContextManager[BenchEnds]:
-        return bridged(way.transport, self._near, self._far, sizes, zenoh=TRANSPORTS[way.transport])
+    @contextlib.contextmanager
+    def open(self, way: Way, sizes: list[int]) -> Iterator[BenchEnds]:
+        with bridged(way.transport, self._near, self._far, sizes, zenoh=TRANSPORTS[way.transport]) as bed:
+            bed.transport, bed.recording = way.transport, self._recording
+            yield bed
 
     def many(self, count: int) -> Many:
         prefix = f"{TOPIC}_{os.getpid()}/topic_"

@@ -4,9 +4,10 @@ They are started by ``python -m rsb_extras.bench.measured_stream PART DOMAIN TOP
 
 It is commanded by lines, and answers with lines of JSON; it ends with its standard input.
 
-- ``talk``: ``send RATE COUNT SIZE [AT]`` publishes COUNT messages of SIZE bytes at RATE Hz on the topic of that number,
-  and answers with the rate reached.
-- ``listen``: ``reset`` forgets; ``count`` answers with the count, ``report`` with the count and the latencies (ns).
+- ``talk``: ``send RATE COUNT SIZE [AT [FILE]]`` publishes COUNT messages of SIZE bytes at RATE Hz on the topic of that
+  number, and answers with the rate reached. FILE is a new one for the messages (`kept_messages`).
+- ``listen``: ``reset [SIZE]`` forgets, and with a SIZE keeps the messages from then on; ``count`` answers with the
+  count, ``report [FILE]`` with the count and the latencies (ns), and whether FILE has the messages that it counts.
 - ``many DOMAIN PREFIX COUNT [SUFFIX]`` publishes on COUNT topics, each at 1 Hz.
 
 Talker and listener drain and publish raw, so that they cost little compared with the measured programs. Each message
@@ -20,6 +21,8 @@ import json
 import sys
 import threading
 import time
+from array import array
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import rclpy
@@ -32,6 +35,7 @@ from std_msgs.msg import String
 from rsb_bridge.cdr.known_types import made_at, stamped_string
 from rsb_bridge.ros.native.rclpy_extension import wait_set
 from rsb_extras.bench.bench_ends import percentiles
+from rsb_extras.bench.kept_messages import KeptMessages, write_made
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -69,7 +73,7 @@ def _parsed(topic: str) -> tuple[str, QoSProfile]:
 def talk(node: Node, topics: Sequence[str]) -> None:
     publishers = [node.create_publisher(String, *_parsed(topic)) for topic in topics]
     for line in sys.stdin:
-        command, *numbers = line.split()
+        command, *numbers = line.split(maxsplit=5)  # the path may have spaces
         if command == "match":
             _answer(subscribers=min(each.get_subscription_count() for each in publishers))
             continue
@@ -77,16 +81,23 @@ def talk(node: Node, topics: Sequence[str]) -> None:
         count, size = map(int, numbers[1:3])
         # Without rclpy's wrapper: what that would cost pays for the stamps.
         publish = publishers[int(numbers[3]) if len(numbers) > 3 else 0].handle.publish_raw
+        # In every run, so that one that is recorded costs no more.
+        stamps = array("Q")
         began, sent = time.perf_counter(), 0
         while sent < count:
             due = min(count, int((time.perf_counter() - began) * rate) + 1)
             for _ in range(due - sent):
-                publish(stamped_string(size))
+                made = time.monotonic_ns()
+                publish(stamped_string(size, made))
+                stamps.append(made)
             sent = max(sent, due)
             # Bursts of half a millisecond: a talker that looked at the clock all the time would take a core.
             time.sleep(0.0005)
         # A single message takes no time; a rate has intervals.
-        _answer(rate=min(rate, count / max(time.perf_counter() - began, 1e-9)))
+        reached = min(rate, count / max(time.perf_counter() - began, 1e-9))
+        if len(numbers) > 4:
+            write_made(Path(numbers[4].rstrip("\n")), size, stamps)
+        _answer(rate=reached)
 
 
 def _publish_many(node: Node, topics: Sequence[str]) -> None:
@@ -111,25 +122,31 @@ class MeasuredArrivals:
 
     Attributes:
         latencies: ns, of the first of them.
+        kept: what a recording is made from, all that is counted and perhaps a message more; None without a recording.
     """
 
     def __init__(self) -> None:
         self.count = 0
         self.latencies: list[int] = []
+        self.kept: KeptMessages | None = None
         self._since = 0
 
-    def reset(self) -> None:
+    def reset(self, kept: KeptMessages | None = None) -> None:
         self._since = time.monotonic_ns()
         self.count = 0
         self.latencies.clear()
+        self.kept = kept
 
     def add(self, payload: bytes) -> None:
         made = made_at(payload)
         if made < self._since:
             return
+        now = time.monotonic_ns()
+        if self.kept is not None:
+            self.kept.add(made, now, payload)
         self.count += 1
         if len(self.latencies) < _SAMPLES:
-            self.latencies.append(time.monotonic_ns() - made)
+            self.latencies.append(now - made)
 
 
 def _listen(context: Context, node: Node, topics: Sequence[str]) -> None:
@@ -137,17 +154,22 @@ def _listen(context: Context, node: Node, topics: Sequence[str]) -> None:
     take = arrivals.add
 
     def commands() -> None:
-        for line in sys.stdin:
-            match line.strip():
-                case "reset":
-                    arrivals.reset()
-                    _answer(ok=True)
-                case "count":
-                    _answer(count=arrivals.count)
-                case _:
-                    p50, p99, p999 = percentiles(arrivals.latencies)
-                    _answer(count=arrivals.count, p50=p50, p99=p99, p999=p999)
-        context.try_shutdown()
+        try:
+            for line in sys.stdin:
+                match line.strip().partition(" "):
+                    case "reset", _, size:
+                        arrivals.reset(KeptMessages(int(size)) if size else None)
+                        _answer(ok=True)
+                    case "count", _, _:
+                        _answer(count=arrivals.count)
+                    case _, _, path:
+                        # Once: messages may still come, which neither the answer nor the file has then.
+                        count, kept = arrivals.count, arrivals.kept
+                        p50, p99, p999 = percentiles(arrivals.latencies)
+                        written = kept is not None and kept.write(Path(path), count)
+                        _answer(count=count, p50=p50, p99=p99, p999=p999, kept=written)
+        finally:  # also if the disk is full: who waits for an answer learns that this process has ended
+            context.try_shutdown()
 
     subscriptions = [
         node.create_subscription(String, topic, take, qos, raw=True) for topic, qos in map(_parsed, topics)

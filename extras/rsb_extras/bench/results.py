@@ -29,6 +29,7 @@ class Run:
         p999: 99.9th percentile of the latency in ms.
         sides: processor time in seconds of the sending and the receiving bridge.
         wire: bytes that the sending bridge handed to its sockets, or None if unknown.
+        topic: its topic in the recordings, or an empty string if it is in none.
     """
 
     size: int
@@ -40,6 +41,7 @@ class Run:
     p999: float = 0.0
     sides: tuple[float, float] = (0.0, 0.0)
     wire: int | None = None
+    topic: str = ""
 
     @property
     def lossless(self) -> bool:
@@ -76,6 +78,10 @@ class Point:
     limit: Limit
     full: Run | None = None
     paced: tuple[Run, ...] = ()
+
+    @property
+    def runs(self) -> list[Run]:
+        return [run for run in (self.gentle, self.best, self.full, *self.paced) if run is not None]
 
     @property
     def added(self) -> tuple[float, float, float]:
@@ -165,7 +171,8 @@ class BenchReport:
         sides: the sending and the receiving bridge, by transport.
         many: figures with many topics.
         judged: verdicts on the session's topics, or on usual ones.
-        notes: parts that were not measured, with reasons.
+        notes: parts that were not measured or not recorded, with reasons.
+        recordings: paths of the talker's and the listener's recording, or empty if there are none.
         ended: ``complete``, ``interrupted``, ``time``, or ``stopped`` by the peer or its limits.
     """
 
@@ -178,6 +185,7 @@ class BenchReport:
     judged: list[Judged] = field(default_factory=list)
     verdict: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    recordings: list[str] = field(default_factory=list)
     ended: Literal["complete", "interrupted", "time", "stopped"] = "complete"
 
 
@@ -197,8 +205,11 @@ class StoppedError(Exception):
 class BenchEnds(Protocol):
     """The two ends between which messages are measured."""
 
-    def send(self, rate: float, seconds: float, size: int) -> Run:
+    def send(self, rate: float, seconds: float, size: int, part: str = "") -> Run:
         """Send messages for a while, wait until no more come, and return the counts.
+
+        Args:
+            part: what the run is for, if a recording is to have it: a word of its topic there.
 
         Raises:
             BenchError: the run fails.

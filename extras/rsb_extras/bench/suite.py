@@ -158,13 +158,13 @@ class Suite:
         plan = self._plan
         what = f"{way.transport} {way.direction}, {byte_count(size)}"
         self._say(f"{what}, latency")
-        gentle = ends.send(self._gentle(ends, size), plan.gentle_run, size)
+        gentle = ends.send(self._gentle(ends, size), plan.gentle_run, size, "latency")
         tried: list[float] = []
 
         def trial(rate: float) -> Run:
             self._say(f"{what}, {rate:,.0f} msg/s")
             tried.append(rate)
-            return ends.send(rate, max(plan.run, _LEAST_MESSAGES / rate), size)
+            return ends.send(rate, max(plan.run, _LEAST_MESSAGES / rate), size, "search")
 
         found = highest_lossless(
             trial,
@@ -185,7 +185,7 @@ class Suite:
         if found.limit == "loss":
             rate = min(ends.most(size), _TOO_FAST * (best.rate if best else tried[-1]))
             self._say(f"{what}, {rate:,.0f} msg/s, too fast")
-            full = ends.send(rate, max(plan.run, _LEAST_MESSAGES / rate), size)
+            full = ends.send(rate, max(plan.run, _LEAST_MESSAGES / rate), size, "too_fast")
         return Point(way.transport, way.direction, size, gentle, base, best, found.limit, full, paced)
 
     def _paced(self, ends: BenchEnds, what: str, size: int, highest: float) -> tuple[Run, ...]:
@@ -196,7 +196,7 @@ class Suite:
             if rate > min(highest, _FIRST_BYTES / size) or self._clock() >= min(self._share_ends, self._ends_at):
                 break
             self._say(f"{what}, latency at {rate:,} msg/s")
-            runs.append(ends.send(rate, self._plan.run, size))
+            runs.append(ends.send(rate, self._plan.run, size, "latency"))
         return tuple(runs)
 
     def _gentle(self, ends: BenchEnds, size: int) -> float:
@@ -331,7 +331,7 @@ class _LinkEnds:
         self._way = way
         self._last: Outcome | None = None
 
-    def send(self, rate: float, seconds: float, size: int) -> Run:
+    def send(self, rate: float, seconds: float, size: int, _: str = "") -> Run:
         count = max(1, min(int(rate * seconds), math.floor(rate * MOST_SECONDS)))
         way: Any = self._way
         outcome = _result(

@@ -33,7 +33,7 @@ class SimulatedLink:
     def capacity(self, size: int) -> float:
         return min(self._messages, self._bytes / size)
 
-    def send(self, rate: float, seconds: float, size: int) -> Run:
+    def send(self, rate: float, seconds: float, size: int, _: str = "") -> Run:
         self.tried.append(rate)
         self.time += seconds + 0.1
         reached = min(rate, self._sender)
