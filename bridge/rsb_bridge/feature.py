@@ -32,8 +32,8 @@ BRINGS: Mapping[str, str] = {
 BRINGS_TRANSPORTS: Mapping[str, str] = {"zenoh": "zenoh", "zenoh-drop": "zenoh"}
 """The same of transports."""
 BRINGS_COMMANDS: Mapping[str, str] = {
-    "bench": "bench", "doctor": "doctor", "fleet": "fleet", "look": "pictures", "pub": "driving",
-    "record": "recording", "report": "history",
+    "audit": "audit", "bench": "bench", "doctor": "doctor", "fleet": "fleet", "look": "pictures",
+    "pub": "driving", "record": "recording", "report": "history",
 }  # fmt: skip
 """The same of subcommands."""
 BRINGS_ACTIONS: Mapping[str, str] = {

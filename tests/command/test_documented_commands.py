@@ -223,7 +223,7 @@ def opens_console(line: str) -> bool:
 
 
 def prepare(line: str) -> None:
-    """Remove what a line writes, and remember the robot that a line dismisses."""
+    """Remove what a line writes, write what it compares, and remember the robot that it dismisses."""
     for written in re.findall(r"-o (\S+)", line) if not line.startswith("keygen") else Path().glob("*key*"):
         Path(written).unlink(missing_ok=True)
     if "dismiss" in line:
@@ -232,6 +232,10 @@ def prepare(line: str) -> None:
         memory = Memory(memory_path())
         memory.saw(Remembered("control", "robot9", NOW - 3600))
         memory.save()
+    if line.startswith("audit"):
+        from rsb_extras.audit.tests.written import write_sides
+
+        write_sides("near", "far", ("/scan", "/robots/r1/scan", "/camera/image", "/cmd_vel"))
 
 
 def run(line: str) -> int:

@@ -1,0 +1,25 @@
+"""Audit: compares a recording of each side of any bridge, and says of each topic what did not cross."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, ClassVar
+
+from rsb_bridge.feature import Feature
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from rsb_console.command.remote_arguments import AddCommand, Complete
+
+
+class AuditFeature(Feature):
+    name = "audit"
+    libraries: ClassVar[Mapping[str, str]] = {"record": "mcap"}
+
+    def subcommands(self, add: AddCommand, complete: Complete) -> None:
+        from rsb_extras.audit.audit_arguments import add_audit_command  # noqa: PLC0415 -- `Feature` says why
+
+        add_audit_command(add, complete)
+
+
+FEATURE = AuditFeature()

@@ -1,0 +1,88 @@
+"""The arguments of ``rsb-console audit``. argparse prints an option's name before the message of what parses it."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rsb_bridge.model.names import is_topic_name
+from rsb_bridge.model.patterns import Pattern, is_valid
+from rsb_console.command.argument_values import seconds
+from rsb_console.command.remote_arguments import subcommand
+
+if TYPE_CHECKING:
+    from rsb_console.command.remote_arguments import AddCommand, Complete
+
+_AUDIT = """\
+NEAR and FAR are recordings of the same time, one of each ROS domain, of any bridge:
+files *.mcap, or folders of rosbag2. Messages are matched by their content.
+
+for example:
+  rsb-console audit near.mcap far.mcap
+  rsb-console audit near_bag far_bag --back /cmd_vel --topic '/camera/**'
+  rsb-console audit near.mcap far.mcap --pair /scan=/robots/r1/scan --json
+
+exit codes:
+  0  all that QoS promises has crossed, as far as the recordings show
+  1  something is missing, doubled, out of order or without an answer
+  2  the recordings cannot be compared: wrong usage, or a file that cannot be read"""
+
+
+def add_audit_command(command: AddCommand, complete: Complete) -> None:
+    run = subcommand("rsb_extras.audit.audit_command:audit")
+    parser = command("audit", run, "compare a recording of each side of a bridge", _AUDIT, after="record")
+    for side, which in (("near", "the recording where messages come from"), ("far", "the one where they arrive")):
+        complete(parser.add_argument(side, type=Path, metavar=side.upper(), help=which), "files")
+    only = "only these topics, which then have to cross; a name or a pattern, more than once, too"
+    parser.add_argument("--topic", type=pattern, action="append", default=[], metavar="PATTERN", help=only)
+    names = "these topics belong together; more than once, too. Default: the same name, or one with a prefix"
+    parser.add_argument("--pair", type=names_of_pair, action="append", default=[], metavar="NEAR=FAR", help=names)
+    back = "these topics go from FAR to NEAR; a name or a pattern, more than once, too"
+    parser.add_argument("--back", type=pattern, action="append", default=[], metavar="PATTERN", help=back)
+    ahead = "FAR's clock is ahead by so much; default: found from the messages"
+    parser.add_argument("--offset", type=offset, metavar="SECONDS", help=ahead)
+    silence = "list silences that are longer, of topics that are usually not (%(default)g)"
+    parser.add_argument("--gap", type=seconds, default=1.0, metavar="SECONDS", help=silence)
+    parser.add_argument("--json", action="store_true", help="print JSON, for programs")
+
+
+def pattern(text: str) -> Pattern:
+    """Parse a topic's name or a pattern of names.
+
+    Raises:
+        argparse.ArgumentTypeError: it is none.
+    """
+    if not is_valid(text):
+        raise argparse.ArgumentTypeError(f"{text!r} is neither a topic's name (/scan) nor a pattern (/camera/**)")
+    return Pattern(text)
+
+
+def names_of_pair(text: str) -> tuple[str, str]:
+    """Parse names of topics that belong together: ``/scan=/robot1/scan``.
+
+    Raises:
+        argparse.ArgumentTypeError: they are none.
+    """
+    near, _, far = text.partition("=")
+    if not (is_topic_name(near) and is_topic_name(far)):
+        raise argparse.ArgumentTypeError(f"{text!r} is not two topics' names, such as /scan=/robot1/scan")
+    return near, far
+
+
+def offset(text: str) -> float:
+    """Parse a difference of clocks (s).
+
+    Raises:
+        argparse.ArgumentTypeError: it is none, or more than clocks differ.
+    """
+    try:
+        parsed = float(text)
+    except ValueError:
+        parsed = float("nan")
+    if not abs(parsed) <= _MOST_OFFSET:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of seconds up to {_MOST_OFFSET:g}")
+    return parsed
+
+
+_MOST_OFFSET = 4e9  # s: a clock without a battery that says 1970, and more

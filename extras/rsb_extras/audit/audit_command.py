@@ -1,0 +1,35 @@
+"""The command ``audit``: compares two recordings, and fails if something that QoS promises is missing."""
+
+from __future__ import annotations
+
+import sqlite3
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from rsb_console.command.formatting import json_line
+from rsb_console.command.shell import FAILURE, OK, print_line
+from rsb_console.command.target import UsageError
+from rsb_extras.audit.audit_table import lines_of
+from rsb_extras.audit.comparing import AuditOptions, compare
+from rsb_extras.audit.recorded import RecordingError, RecordingText
+from rsb_extras.audit.topic_pairs import PairError
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+
+
+def audit(arguments: Namespace) -> int:
+    options = AuditOptions(arguments.topic, arguments.pair, arguments.back, arguments.offset, arguments.gap)
+    try:
+        report = compare(arguments.near, arguments.far, options)
+    except (RecordingError, PairError) as error:
+        raise UsageError(str(error)) from None
+    except sqlite3.OperationalError as error:
+        raise UsageError(RecordingText.NO_ROOM(reason=error)) from None
+    if arguments.json:
+        print_line(json_line({"ok": not report.breaches, **msgspec.to_builtins(report)}))
+    else:
+        for line in lines_of(report):
+            print_line(line)
+    return FAILURE if report.breaches else OK

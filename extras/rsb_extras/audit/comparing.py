@@ -1,0 +1,250 @@
+"""Two recordings compared: their clocks, each topic, calls and goals, and what of it QoS does not allow."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from rsb_extras.audit.matching import IN_FLIGHT, SECOND, Audit, AuditedTopic, Clocks, OffsetBy, clocks_of, spread_of
+from rsb_extras.audit.recorded import new_database, read_recording
+from rsb_extras.audit.topic_pairs import PairError, PairText, pair_topics
+from rsb_extras.audit.unanswered import CALL_TIME, GOAL_STATUS
+
+if TYPE_CHECKING:
+    import sqlite3
+    from collections.abc import Iterable, Iterator, Sequence
+    from pathlib import Path
+
+    from rsb_bridge.model.patterns import Pattern
+    from rsb_extras.audit.matching import Spread, Way
+    from rsb_extras.audit.recorded import ReadRecording, TopicRows
+    from rsb_extras.audit.topic_pairs import Paired, TopicPair
+    from rsb_extras.audit.unanswered import SeenGoals
+
+
+@dataclass(frozen=True)
+class AuditOptions:
+    """What the user says of two recordings.
+
+    Attributes:
+        topics: those that count and have to cross; without any, all count.
+        pairs: names of topics that belong together.
+        back: topics that go from FAR to NEAR.
+        offset: s that FAR's clock is ahead, or None to find out.
+        gap: s.
+    """
+
+    topics: Sequence[Pattern] = ()
+    pairs: Sequence[tuple[str, str]] = ()
+    back: Sequence[Pattern] = ()
+    offset: float | None = None
+    gap: float = 1.0
+
+
+class RecordingFacts(msgspec.Struct, frozen=True):
+    """One of the two recordings. Times are s since the epoch; `cut` is why the rest was not read, or empty."""
+
+    path: str
+    messages: int
+    topics: int
+    first: float
+    last: float
+    cut: str
+
+
+class AuditedCalls(msgspec.Struct, frozen=True):
+    """Calls of a service in the recording of a `side`, as the events of its ``caller`` or ``provider`` tell."""
+
+    service: str
+    side: str
+    seen_by: str
+    asked: int
+    unanswered: int
+
+
+class AuditedGoals(msgspec.Struct, frozen=True):
+    """Goals of an action: how many have ended on one side only, and how many on neither."""
+
+    action: str
+    far_action: str
+    goals: int
+    unanswered: int
+    unfinished: int
+
+
+class Breach(msgspec.Struct, frozen=True):
+    """What QoS promises, or the user named, and the recordings do not show.
+
+    Attributes:
+        kind: ``lost``, ``doubled``, ``disordered``, ``latched``, ``not_crossed``, ``call``, ``goal``, or
+            ``nothing_compared`` if the recordings have no message or no time in common.
+        name: of the topic, service or action.
+    """
+
+    kind: str
+    name: str
+    count: int
+
+
+class AuditReport(msgspec.Struct, frozen=True):
+    """All that two recordings say.
+
+    Attributes:
+        overlap: s that both cover.
+        offset: s that FAR's clock is ahead; `offset_by` is what says so.
+        only_near, only_far: topics that only one side has.
+    """
+
+    near: RecordingFacts
+    far: RecordingFacts
+    overlap: float
+    offset: float
+    offset_by: OffsetBy
+    offset_uncertainty: float | None
+    topics: list[AuditedTopic]
+    calls: list[AuditedCalls]
+    goals: list[AuditedGoals]
+    only_near: list[str]
+    only_far: list[str]
+    breaches: list[Breach]
+
+
+def compare(near_path: Path, far_path: Path, options: AuditOptions) -> AuditReport:
+    """Compare the recordings of two sides.
+
+    Raises:
+        RecordingError: one is no recording.
+        PairError: a topic that the user names is not there.
+        sqlite3.Error: the folder for temporary files has no room.
+    """
+    database = new_database()
+    try:
+        near, far = read_recording(near_path, "near", database), read_recording(far_path, "far", database)
+        paired = pair_topics(near, far, options.pairs, options.topics)
+        for pattern in options.topics:
+            _check_named(pattern, paired)
+        ways, clocks = _ways_and_clocks(database, paired.pairs, options)
+        audit = Audit(database, near, far, clocks, options.gap)
+        topics = [audit.compare(pair, way) for pair, way in zip(paired.pairs, ways, strict=True)]
+    finally:
+        database.close()
+    calls = [*_calls(near, "near"), *_calls(far, "far")]
+    goals = list(_goals(near, far, paired.pairs))
+    overlap = max(audit.end - audit.begin, 0) / SECOND
+    breaches = [*_topic_breaches(topics, paired, options), *_other_breaches(calls, goals)]
+    if not overlap or not any(topic.matched for topic in topics):
+        breaches.append(Breach("nothing_compared", "", 0))
+    return AuditReport(
+        _facts(near),
+        _facts(far),
+        overlap,
+        clocks.offset / SECOND,
+        clocks.by,
+        None if clocks.uncertainty is None else clocks.uncertainty / SECOND,
+        topics,
+        calls,
+        goals,
+        [topic.name for topic in paired.only_near],
+        [topic.name for topic in paired.only_far],
+        breaches,
+    )
+
+
+def _check_named(pattern: Pattern, paired: Paired) -> None:
+    names = (topic.name for pair in paired.pairs for topic in (pair.near, pair.far))
+    alone = (topic.name for topic in (*paired.only_near, *paired.only_far))
+    if not any(pattern.match(name) is not None for name in (*names, *alone)):
+        raise PairError(PairText.NO_TOPIC(pattern=pattern.text))
+
+
+def _ways_and_clocks(
+    database: sqlite3.Connection, pairs: Sequence[TopicPair], options: AuditOptions
+) -> tuple[list[Way], Clocks]:
+    """Return which way each topic goes, and how the clocks compare."""
+    spreads = [spread_of(database, pair) for pair in pairs]
+    if options.offset is not None:
+        clocks = Clocks(round(options.offset * SECOND), "option")
+        return [_way(pair, options.back, spread, clocks) for pair, spread in zip(pairs, spreads, strict=True)], clocks
+    ways = [_way(pair, options.back) for pair in pairs]
+    # A latched message has the time when a recorder came as a late joiner.
+    latched = [pair.near.offer.latched is True or pair.far.offer.latched is True for pair in pairs]
+    known = [each for each, skip in zip(zip(ways, spreads, strict=True), latched, strict=True) if each[1] and not skip]
+    by_way: dict[Way, list[Spread]] = {"to_far": [], "to_near": []}
+    for way, spread in known or zip(ways, spreads, strict=True):
+        if spread is not None:
+            by_way[way].append(spread)
+    return ways, clocks_of(by_way["to_far"], by_way["to_near"])
+
+
+def _way(pair: TopicPair, back: Iterable[Pattern], spread: Spread | None = None, clocks: Clocks | None = None) -> Way:
+    if any(pattern.match(name) is not None for pattern in back for name in (pair.near.name, pair.far.name)):
+        return "to_near"
+    # With clocks that are known, a topic whose messages are on FAR first comes from there.
+    return "to_near" if clocks is not None and spread is not None and spread.mean < clocks.offset else "to_far"
+
+
+def _calls(recording: ReadRecording, side: str) -> Iterator[AuditedCalls]:
+    for service, calls in sorted(recording.calls.items()):
+        unanswered = calls.unanswered(recording.last - CALL_TIME)
+        for seen_by, asked in calls.asked.items():
+            if asked:
+                yield AuditedCalls(service, side, seen_by, asked, unanswered[seen_by])
+
+
+def _goals(near: ReadRecording, far: ReadRecording, pairs: Sequence[TopicPair]) -> Iterator[AuditedGoals]:
+    for pair in pairs:
+        here, there = near.goals.get(_action(pair.near)), far.goals.get(_action(pair.far))
+        if here is not None and there is not None:
+            both = here.goals.keys() | there.goals.keys()
+            yield AuditedGoals(
+                _action(pair.near),
+                _action(pair.far),
+                len(both),
+                _ended_only(here, there, near.last) + _ended_only(there, here, far.last),
+                sum(not (here.has_ended(goal) or there.has_ended(goal)) for goal in both),
+            )
+
+
+def _action(topic: TopicRows) -> str:
+    return topic.name.removesuffix(GOAL_STATUS)
+
+
+def _ended_only(here: SeenGoals, there: SeenGoals, last: int) -> int:
+    """Count goals that have ended in one recording, in time before its `last` message, and not in the other one."""
+    ended = (goal for goal, (has_ended, time) in here.goals.items() if has_ended and time <= last - IN_FLIGHT)
+    return sum(not there.has_ended(goal) for goal in ended)
+
+
+def _facts(recording: ReadRecording) -> RecordingFacts:
+    return RecordingFacts(
+        str(recording.path),
+        recording.messages,
+        len(recording.topics),
+        recording.first / SECOND,
+        recording.last / SECOND,
+        recording.cut,
+    )
+
+
+def _topic_breaches(topics: Iterable[AuditedTopic], paired: Paired, options: AuditOptions) -> Iterator[Breach]:
+    def is_named(*names: str) -> bool:
+        return any(pattern.match(name) is not None for pattern in options.topics for name in names)
+
+    for result in topics:
+        yield from (Breach(kind, result.topic, count) for kind, count in result.breaches())
+        if result.nothing_common and (result.paired_by == "option" or is_named(result.topic, result.far_topic)):
+            yield Breach("not_crossed", result.topic, result.near if result.way == "to_far" else result.far)
+    for topic in (*paired.only_near, *paired.only_far):
+        if is_named(topic.name):
+            yield Breach("not_crossed", topic.name, topic.messages)
+
+
+def _other_breaches(calls: Iterable[AuditedCalls], goals: Iterable[AuditedGoals]) -> Iterator[Breach]:
+    for call in calls:
+        if call.unanswered:
+            yield Breach("call", call.service, call.unanswered)
+    for goal in goals:
+        if goal.unanswered:
+            yield Breach("goal", goal.action, goal.unanswered)

@@ -1,0 +1,394 @@
+"""Which message of one recording is which of the other, and what follows from it for a topic.
+
+Numbers of messages do not cross every bridge, so messages are matched by content. The newest of several equal messages
+that wait for their match is taken: whatever is lost, this needs no clock, and goes wrong only for as many messages as
+are in flight where a recording begins or ends.
+
+All times are in ns. *Common time* is that of NEAR's clock.
+"""
+
+from __future__ import annotations
+
+from itertools import chain, groupby, islice
+from operator import itemgetter
+from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
+
+import msgspec
+
+from rsb_extras.audit.recorded import insert
+
+if TYPE_CHECKING:
+    import sqlite3
+    from collections.abc import Iterable, Iterator, Sequence
+
+    from rsb_extras.audit.recorded import ReadRecording, TopicRows
+    from rsb_extras.audit.topic_pairs import TopicPair
+
+SECOND = 1_000_000_000
+IN_FLIGHT = SECOND
+"""ns before the end in which a message may still be on its way, beside the p99 of its topic's ages. A round figure."""
+GAPS_KEPT = 100  # gaps of a topic on a side that are listed; the others are counted
+_PIECE = 200_000  # equal messages that are compared at once: some 40 MB
+_HELD = 20_000  # rows before they are written
+_TOLERANCE = 2_000_000
+"""ns that clocks may be off, beside their uncertainty. A round figure, above the jitter of time synchronisation."""
+_FEWEST = 3  # intervals of which a usual one can be told
+_TABLES = {"pair": "sender, source, sink, alike", "missing": "time", "surplus": "time, sent, alike"}
+"""Tables of one topic's matches, in common time: messages that crossed, those that did not come, and those that came
+without one that was sent."""
+
+OffsetBy = Literal["option", "two_ways", "least_age", "assumed"]
+LatchedValue = Literal["same", "old", "absent", "undecided"]
+Way = Literal["to_far", "to_near"]
+_Row: TypeAlias = tuple[int, int, int, int, int]
+"""Key, time in common time, sender, whether it is of the receiving side, and its place among equal ones."""
+
+
+class Clocks(NamedTuple):
+    """How the clocks of two recordings compare.
+
+    Attributes:
+        offset: ns that FAR's clock is ahead.
+        by: what says so: the user; messages both ways; the least age of messages one way, which then counts as 0; or
+            nothing.
+        uncertainty: ns, or None if unknown.
+    """
+
+    offset: int
+    by: OffsetBy
+    uncertainty: int | None = None
+
+
+class SilentTime(msgspec.Struct, frozen=True):
+    """A silence of a topic that usually is not silent for so long.
+
+    Attributes:
+        start, end: s since the epoch on the clock of its side.
+        other: messages on the other side meanwhile, one that belongs to its end left out.
+        open: it lasts until the recording's end.
+    """
+
+    start: float
+    end: float
+    other: int
+    open: bool = False
+
+
+class AuditedTopic(msgspec.Struct):
+    """What two recordings say of one topic. Ages are in s.
+
+    Attributes:
+        by_order: messages that are equal to others, so that their order decided.
+        early: messages from before the first that crossed.
+        undecided: messages that may have been on their way at the end.
+        elsewhere: messages that only the receiving side has.
+        latched_value: of a latched topic, or None.
+        gaps, more_gaps: by side, `near` and `far`: the first ones, and how many more there are.
+        nothing_common: both sides have messages, and none is the same.
+    """
+
+    topic: str
+    far_topic: str
+    type: str
+    paired_by: str
+    way: Way
+    reliable: bool | None
+    latched: bool | None
+    near: int
+    far: int
+    matched: int = 0
+    by_order: int = 0
+    lost: int = 0
+    doubled: int = 0
+    disordered: int | None = 0
+    early: int = 0
+    undecided: int = 0
+    elsewhere: int = 0
+    age_p50: float | None = None
+    age_p99: float | None = None
+    latched_value: LatchedValue | None = None
+    nothing_common: bool = False
+    gaps: dict[str, list[SilentTime]] = msgspec.field(default_factory=lambda: {"near": [], "far": []})
+    more_gaps: dict[str, int] = msgspec.field(default_factory=lambda: {"near": 0, "far": 0})
+
+    def breaches(self) -> Iterator[tuple[str, int]]:
+        """Yield what QoS promises and did not happen, and how often."""
+        if self.nothing_common:
+            return
+        if self.reliable:
+            counts = {"lost": self.lost, "doubled": self.doubled, "disordered": self.disordered or 0}
+            yield from ((kind, count) for kind, count in counts.items() if count)
+        if self.latched_value in ("old", "absent"):
+            yield "latched", 1
+
+
+# --- clocks
+
+
+class Spread(NamedTuple):
+    """Differences of a topic's times, far minus near, of messages that are there once on each side."""
+
+    least: int
+    mean: float
+    most: int
+
+
+def spread_of(database: sqlite3.Connection, pair: TopicPair) -> Spread | None:
+    """Return the differences of a topic's times, or None if no message is there once on each side."""
+    _view(database, near=(pair.near, 0), far=(pair.far, 0))
+    count, *found = database.execute(
+        "SELECT count(*), min(far.time - near.time), avg(far.time - near.time), max(far.time - near.time)"
+        " FROM (SELECT key, min(time) AS time FROM near GROUP BY key HAVING count(*) = 1) AS near"
+        " JOIN (SELECT key, min(time) AS time FROM far GROUP BY key HAVING count(*) = 1) AS far USING (key)"
+    ).fetchone()
+    return Spread(*found) if count else None
+
+
+def _view(database: sqlite3.Connection, **views: tuple[TopicRows, int]) -> None:
+    """Give tables of topics, with an offset of their times, the names that the queries have."""
+    for name, (topic, offset) in views.items():
+        database.execute(f"DROP VIEW IF EXISTS {name}")
+        rows = f"SELECT key, time - {offset} AS time, sender FROM {topic.table}"  # noqa: S608 -- names of our own
+        database.execute(f"CREATE TEMP VIEW {name} AS {rows}")
+
+
+def clocks_of(to_far: Sequence[Spread], to_near: Sequence[Spread]) -> Clocks:
+    """Find how the clocks compare: no message comes before it was sent, and the fastest ones take as long both ways."""
+    least = min((each.least for each in to_far), default=None)
+    most = max((each.most for each in to_near), default=None)
+    if least is not None and most is not None:
+        return Clocks((least + most) // 2, "two_ways", abs(least - most) // 2)
+    if least is not None or most is not None:
+        return Clocks(most if least is None else least, "least_age")  # type: ignore[arg-type]
+    return Clocks(0, "assumed")
+
+
+# --- one topic
+
+
+class Audit:
+    """Compares topics of two recordings, one after the other.
+
+    Attributes:
+        begin, end: the time that both recordings cover, in common time.
+    """
+
+    def __init__(
+        self, database: sqlite3.Connection, near: ReadRecording, far: ReadRecording, clocks: Clocks, gap: float
+    ) -> None:
+        self._database = database
+        self._offset = {"near": 0, "far": clocks.offset}
+        self._ends = {"near": near.last, "far": far.last - clocks.offset}
+        self.begin = max(near.first, far.first - clocks.offset)
+        self.end = min(self._ends.values())
+        self._tolerance = _TOLERANCE + (clocks.uncertainty or 0)
+        self._gap = round(gap * SECOND)
+        for table, columns in _TABLES.items():
+            database.execute(f"CREATE TABLE {table} ({columns})")
+
+    def compare(self, pair: TopicPair, way: Way) -> AuditedTopic:
+        """Return what the recordings say of a topic whose messages go to one side."""
+        near, far = ((topic, self._offset[side]) for topic, side in ((pair.near, "near"), (pair.far, "far")))
+        (source, _), (sink, _) = sent, came = (near, far) if way == "to_far" else (far, near)
+        _view(self._database, near=near, far=far, source=sent, sink=came)
+        result = AuditedTopic(
+            pair.near.name, pair.far.name, pair.near.type_name, pair.by, way, source.offer.reliable,
+            source.offer.latched, pair.near.messages, pair.far.messages,
+        )  # fmt: skip
+        self._match(result)
+        result.nothing_common = bool(source.messages and sink.messages and not result.matched)
+        self._count(result)
+        if result.latched:
+            one_value = source.one_publisher_each and len(source.senders) == 1
+            result.latched_value = self._latched_value(one_value=one_value)
+        result.disordered = self._disordered() if source.one_publisher_each else None
+        self._find_gaps(result)
+        return result
+
+    def _match(self, result: AuditedTopic) -> None:
+        """Fill the tables of matches."""
+        for table in _TABLES:
+            self._database.execute(f"DELETE FROM {table}")  # noqa: S608 -- names of our own
+        # The order of equal messages allows for an error of the clocks' offset: none comes before it was sent.
+        rows = self._database.execute(
+            "SELECT key, time, sender, 0 AS came, time AS place FROM source"
+            " UNION ALL SELECT key, time, sender, 1, time + ? FROM sink ORDER BY key, place, came",
+            (self._tolerance,),
+        )
+        matches = _Matches(self._database)
+        for _, equal in groupby(rows, key=itemgetter(0)):
+            matches.add(equal)
+        matches.write()
+        result.matched, result.by_order = matches.matched, matches.by_order
+
+    def _count(self, result: AuditedTopic) -> None:
+        """Take numbers and ages from the tables of matches."""
+        one = self._one
+        if result.latched:
+            # What a recorder got as a late joiner, and when, is no age of the bridge's.
+            late = one("SELECT max(min(source), min(sink)) FROM pair") or 0
+            after = late + SECOND
+        else:
+            after = -1 << 62
+        alike = not one("SELECT count(*) FROM pair WHERE NOT alike")
+        count = one("SELECT count(*) FROM pair WHERE alike = ? AND source > ?", alike, after)
+        settled = self.end - IN_FLIGHT
+        if count:
+            ages = self._database.execute(
+                "SELECT age FROM (SELECT sink - source AS age, row_number() OVER (ORDER BY sink - source) AS rank"
+                " FROM pair WHERE alike = ? AND source > ?) WHERE rank IN (?, ?) ORDER BY 1",
+                (alike, after, *(1 + (count - 1) * share // 100 for share in (50, 99))),
+            ).fetchall()
+            (p50,), (p99,) = ages[0], ages[-1]
+            result.age_p50, result.age_p99 = p50 / SECOND, p99 / SECOND
+            settled -= max(p99, 0)
+        # Before the first message crosses, a bridge or a recorder may not have been there yet. Of a topic that has
+        # nothing on the receiving side, all are lost.
+        first = one("SELECT min(source) FROM pair")
+        opened = self.begin if first is None else max(first, self.begin)
+        between = "SELECT count(*) FROM missing WHERE time >= ? AND time <= ?"
+        if not result.nothing_common:
+            result.lost = one(between, opened, settled)
+            result.early = one(between, self.begin, opened - 1)
+            result.undecided = one(between, max(settled + 1, opened), self.end)
+        # Equal messages from before one of the recordings begins look like doubled ones.
+        result.doubled = one(
+            "SELECT count(*) FROM surplus WHERE sent AND time <= ? AND time >= CASE alike WHEN 1 THEN ? ELSE ? END",
+            self.end, self.begin + IN_FLIGHT, self.begin,
+        )  # fmt: skip
+        result.elsewhere = one(
+            "SELECT count(*) FROM surplus WHERE NOT sent AND time BETWEEN ? AND ?", self.begin + IN_FLIGHT, self.end
+        )
+
+    def _disordered(self) -> int:
+        """Count the messages that came after one that their sender sent later. Equal ones have no order."""
+        return self._one(
+            "SELECT count(*) FROM (SELECT source, max(source) OVER (PARTITION BY sender ORDER BY sink, source"
+            " ROWS BETWEEN UNBOUNDED PRECEDING AND 1 PRECEDING) AS latest FROM pair WHERE NOT alike)"
+            " WHERE source < latest"
+        )
+
+    def _latched_value(self, *, one_value: bool) -> LatchedValue:
+        """Judge what a late joiner would get at the end.
+
+        Args:
+            one_value: one publisher is known to have sent all messages, so that each takes the last one's place.
+        """
+        one = self._one
+        last = "SELECT key, time FROM {} WHERE time <= ? ORDER BY time DESC LIMIT 1"
+        due = self._database.execute(last.format("source"), (self.end - IN_FLIGHT,)).fetchone()
+        if due is None:
+            return "undecided"
+        shown = self._database.execute(last.format("sink"), (self.end,)).fetchone()
+        if shown is None:
+            return "absent"
+        if one("SELECT count(*) FROM source WHERE key = ? AND time >= ?", shown[0], due[1]):
+            return "same"
+        was_sent = one("SELECT count(*) FROM source WHERE key = ?", shown[0]) > 0
+        # The receiving side's own publishers, and several publishers of one topic, each keep a value.
+        if not (was_sent and one_value) and one("SELECT count(*) FROM sink WHERE key = ?", due[0]):
+            return "same"
+        return "old" if was_sent else "absent"
+
+    def _find_gaps(self, result: AuditedTopic) -> None:
+        """Find silences on both sides, in one pass over all times."""
+        source = "near" if result.way == "to_far" else "far"
+        other_side = {"near": "far", "far": "near"}
+        gaps, more = {"near": list[SilentTime](), "far": list[SilentTime]()}, {"near": 0, "far": 0}
+        last: dict[str, int] = {}
+        others = {"near": 0, "far": 0}
+        intervals = short = 0
+
+        def silent(side: str, until: int, *, to_end: bool) -> None:
+            # The message that ends a silence has a counterpart, too.
+            other = others[side] if to_end else max(others[side] - 1, 0)
+            if len(gaps[side]) < GAPS_KEPT:
+                start, end = ((time + self._offset[side]) / SECOND for time in (last[side], until))
+                gaps[side].append(SilentTime(start, end, other, to_end))
+            else:
+                more[side] += 1
+
+        times = "SELECT time, 'near' FROM near UNION ALL SELECT time, 'far' FROM far ORDER BY 1, 2 DESC"
+        for time, side in self._database.execute(times):
+            if (before := last.get(side)) is not None:
+                is_short = time - before <= self._gap
+                if not is_short and time > self.begin and before < self.end:
+                    silent(side, time, to_end=False)
+                if side == source:
+                    intervals += 1
+                    short += is_short
+            last[side] = time
+            others[side] = 0
+            others[other_side[side]] += 1
+        for side, time in last.items():
+            if self._ends[side] - time > self._gap and time < self.end:
+                silent(side, self._ends[side], to_end=True)
+        if intervals >= _FEWEST and 2 * short > intervals:  # else it is usually silent for as long
+            result.gaps, result.more_gaps = gaps, more
+
+    def _one(self, query: str, *values: object) -> int:
+        found: int = self._database.execute(query, values).fetchone()[0]
+        return found
+
+
+class _Matches:
+    """Writes the matches of one topic to their tables."""
+
+    def __init__(self, database: sqlite3.Connection) -> None:
+        self.matched = 0
+        self.by_order = 0
+        self._database = database
+        self._pair: list[tuple[int, int, int, bool]] = []
+        self._missing: list[tuple[int]] = []
+        self._surplus: list[tuple[int, bool, bool]] = []
+
+    def add(self, equal: Iterator[_Row]) -> None:
+        """Match equal messages of both sides, which come in the order of their times."""
+        rows = list(islice(equal, _PIECE))
+        sources = [row for row in rows if not row[3]]
+        sinks = [row for row in rows if row[3]]
+        if len(rows) == _PIECE:
+            self._match_newest(chain(rows, equal))
+        elif len(sources) == len(sinks):
+            self._cross(zip(sources, sinks, strict=True), alike=len(sources) > 1)
+        elif not sinks:
+            self._missing += [(row[1],) for row in sources]
+        elif not sources:
+            self._surplus += [(row[1], False, False) for row in sinks]
+        elif len(sources) == 1:
+            self._cross([(sources[0], sinks[0])], alike=False)
+            self._surplus += [(row[1], True, False) for row in sinks[1:]]
+        else:
+            self._match_newest(rows)
+        if len(self._pair) + len(self._missing) + len(self._surplus) > _HELD:
+            self.write()
+
+    def write(self) -> None:
+        for table, rows in (("pair", self._pair), ("missing", self._missing), ("surplus", self._surplus)):
+            insert(self._database, table, rows)
+
+    def _cross(self, pairs: Iterable[tuple[_Row, _Row]], *, alike: bool) -> None:
+        before = len(self._pair)
+        self._pair += [(source[2], source[1], sink[1], alike) for source, sink in pairs]
+        self.matched += len(self._pair) - before
+        if alike:
+            self.by_order += len(self._pair) - before
+
+    def _match_newest(self, rows: Iterable[_Row]) -> None:
+        """Match each message that came with the newest one before it."""
+        waiting: list[_Row] = []
+        was_sent = False
+        for row in rows:
+            if not row[3]:
+                was_sent = True
+                waiting.append(row)
+                if len(waiting) == _PIECE:
+                    self._missing += [(each[1],) for each in waiting[: _PIECE // 2]]
+                    del waiting[: _PIECE // 2]
+            elif waiting:
+                self._cross([(waiting.pop(), row)], alike=True)
+            else:
+                self._surplus.append((row[1], was_sent, True))
+            if len(self._pair) + len(self._surplus) > _HELD:
+                self.write()
+        self._missing += [(row[1],) for row in waiting]

@@ -1,0 +1,326 @@
+"""What a recording has: each file is read once, and each message becomes a row of a database on disk.
+
+A row has the key of the message's content, its time and its sender. No content is kept, so memory does not grow with a
+recording; the disk holds about 30 bytes a message.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import sqlite3
+import struct
+from dataclasses import dataclass, field
+from io import BytesIO
+from typing import IO, TYPE_CHECKING, Any, NamedTuple
+
+import yaml
+
+from rsb_bridge.model.wording import Wording
+from rsb_extras.audit.unanswered import GOAL_STATUS, SERVICE_EVENTS, SeenCalls, SeenGoals
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+_HEAD, _MESSAGE = struct.Struct("<BQ"), struct.Struct("<HIQQ")
+_SCHEMA, _CHANNEL, _IS_MESSAGE = 3, 4, 5
+_LATEST = (1 << 62) - 1  # ns; later times of a damaged file would not fit into the database when compared
+_LONGEST = 1 << 30
+"""Bytes of one record, chunks included. A round figure: rosbag2 writes chunks of less than 1 MB, and a message is at
+most as long as memory allows."""
+_CACHE = 64 << 10  # KiB that the database keeps in memory, and sorts in
+_HELD = 20_000  # rows before they are written: some 4 MB
+_RELIABLE: dict[object, bool] = {"reliable": True, 1: True, "best_effort": False, 2: False}
+_LATCHED: dict[object, bool] = {"transient_local": True, 1: True, "volatile": False, 2: False}
+"""Policies by their names (rosbag2 since Jazzy) and numbers (before)."""
+
+
+class RecordingText(Wording):
+    """Reasons why a recording cannot be read."""
+
+    NOT_INSTALLED = "mcap is not installed: pip install 'rsb-console[record]'"
+    NOT_THERE = "{path} cannot be read: {reason}"
+    NO_MCAP = "{path} is no MCAP file: record with `ros2 bag record --storage mcap`, or convert it"
+    NO_MCAP_WITHIN = "{path} has no file *.mcap: record with `ros2 bag record --storage mcap`, or convert it"
+    COMPRESSED = "{path} is compressed as a whole: unpack it with `zstd -d`"
+    EMPTY = "{path} has no message"
+    NO_ROOM = "the folder for temporary files cannot hold the audit ({reason}): set TMPDIR to one with more room"
+
+
+class RecordingError(Exception):
+    """A recording cannot be read; the message says why, and what to do."""
+
+
+class Offer(NamedTuple):
+    """What a publisher offers by its QoS; None is unknown."""
+
+    reliable: bool | None
+    latched: bool | None
+
+
+@dataclass
+class TopicRows:
+    """The messages of a topic in one recording.
+
+    Attributes:
+        table: of the database, with `key`, `time` (ns) and `sender` of each message.
+        messages: number of them.
+        senders: numbers of the publishers, by what the recording calls them; rosbag2 tells none apart.
+        offers: QoS of the publishers of each sender.
+    """
+
+    name: str
+    type_name: str
+    table: str
+    messages: int = 0
+    senders: dict[str, int] = field(default_factory=dict)
+    offers: dict[str, list[Offer]] = field(default_factory=dict)
+
+    @property
+    def offer(self) -> Offer:
+        """What all publishers offer, or None if they differ or nothing is known."""
+        known = [offer for offers in self.offers.values() for offer in offers]
+        reliable, latched = ({offer[at] for offer in known} for at in (0, 1))
+        return Offer(*(next(iter(each)) if len(each) == 1 else None for each in (reliable, latched)))
+
+    @property
+    def one_publisher_each(self) -> bool:
+        """Whether all messages of a sender come from one publisher, as far as the recording says."""
+        return all(len(offers) <= 1 for offers in self.offers.values())
+
+
+@dataclass
+class ReadRecording:
+    """A recording that was read.
+
+    Attributes:
+        files: those of a folder, in order.
+        topics: by name and type.
+        first, last: ns, log times of messages, or 0 if there is none.
+        cut: why the rest was not read, or empty.
+        calls: by service.
+        goals: by action.
+    """
+
+    path: Path
+    files: list[Path]
+    topics: dict[tuple[str, str], TopicRows] = field(default_factory=dict)
+    messages: int = 0
+    first: int = 0
+    last: int = 0
+    cut: str = ""
+    calls: dict[str, SeenCalls] = field(default_factory=dict)
+    goals: dict[str, SeenGoals] = field(default_factory=dict)
+
+
+def new_database() -> sqlite3.Connection:
+    """Return an empty database in a file that SQLite deletes, in the folder for temporary files."""
+    database = sqlite3.connect("", isolation_level=None)
+    # Without a journal, as nobody needs the rows after a failure.
+    for pragma in ("journal_mode = OFF", "synchronous = OFF", "temp_store = FILE", f"cache_size = -{_CACHE}"):
+        database.execute(f"PRAGMA {pragma}")
+    database.execute("BEGIN")
+    return database
+
+
+def read_recording(path: Path, side: str, database: sqlite3.Connection) -> ReadRecording:
+    """Read a file, or the files of a rosbag2 folder, into tables whose names begin with `side`.
+
+    Raises:
+        RecordingError: it is no recording, or has no message.
+    """
+    recording = ReadRecording(path, _files_of(path))
+    rows = _Rows(recording, side, database)
+    for file in recording.files:
+        try:
+            with file.open("rb") as opened:
+                cut = _read(opened, file, rows)
+        except OSError as error:
+            raise RecordingError(RecordingText.NOT_THERE(path=file, reason=error.strerror)) from None
+        if cut:
+            recording.cut = cut if file == path else f"{file.name}: {cut}"
+    rows.write()
+    if not recording.messages:
+        raise RecordingError(RecordingText.EMPTY(path=path))
+    return recording
+
+
+def content_key(content: memoryview, *, is_cdr: bool) -> int:
+    """Return a number of 64 bits by which messages with the same content are found.
+
+    Of CDR, the two bytes of options do not count, and neither does whether the end is padded to a multiple of 4, as
+    some middlewares do.
+    """
+    if not is_cdr or len(content) < 4:
+        made = hashlib.blake2b(content, digest_size=8)
+    else:
+        made = hashlib.blake2b(content[:2], digest_size=8)
+        made.update(content[4:])
+        made.update(bytes(-len(content) % 4))
+    return int.from_bytes(made.digest(), "little", signed=True)
+
+
+def offers_of(profiles: str) -> list[Offer]:
+    """Parse ``offered_qos_profiles`` of a channel, as rosbag2 writes it; what is not understood is unknown."""
+    try:
+        parsed = yaml.safe_load(profiles)
+    except (yaml.YAMLError, ValueError, RecursionError):  # ValueError: a date that is none
+        return []
+    if not isinstance(parsed, list):
+        return []
+    return [
+        Offer(_policy(_RELIABLE, each.get("reliability")), _policy(_LATCHED, each.get("durability")))
+        for each in parsed
+        if isinstance(each, dict)
+    ]
+
+
+def _policy(known: dict[object, bool], value: object) -> bool | None:
+    return known.get(value) if isinstance(value, str | int) else None
+
+
+def _files_of(path: Path) -> list[Path]:
+    if not path.is_dir():
+        return [path]
+    files = sorted(path.glob("*.mcap"), key=lambda file: (len(file.name), file.name))  # bag_9 before bag_10
+    if not files:
+        text = RecordingText.COMPRESSED if any(path.glob("*.mcap.zstd")) else RecordingText.NO_MCAP_WITHIN
+        raise RecordingError(text(path=path))
+    return files
+
+
+def _read(opened: IO[bytes], path: Path, rows: _Rows) -> str:
+    """Read a file, and return why its end was not read, or an empty text."""
+    try:
+        from mcap.exceptions import InvalidMagic  # noqa: PLC0415 -- everything else does without
+        from mcap.records import Channel, Chunk, Message, Schema  # noqa: PLC0415
+        from mcap.stream_reader import StreamReader, get_chunk_data_stream  # noqa: PLC0415
+    except ImportError:
+        raise RecordingError(RecordingText.NOT_INSTALLED()) from None
+
+    records = StreamReader(opened, emit_chunks=True, record_size_limit=_LONGEST).records
+    rows.begin_file()
+    is_mcap = False
+    try:
+        for record in records:
+            is_mcap = True
+            if isinstance(record, Chunk):
+                # A damaged chunk would look like losses, so that its sum is compared.
+                stream, length = get_chunk_data_stream(record, validate_crc=True)
+                rows.add_chunk(stream.read(length))
+            elif isinstance(record, Message):
+                rows.add_message(record.channel_id, record.log_time, memoryview(record.data))
+            elif isinstance(record, Channel):
+                rows.add_channel(record)
+            elif isinstance(record, Schema):
+                rows.add_schema(record)
+    except (sqlite3.Error, OSError):
+        raise
+    except InvalidMagic:
+        reason = "its end is missing"
+    # What the libraries of MCAP, zstd and lz4 raise has no common class.
+    except Exception as error:  # noqa: BLE001
+        reason = f"it is cut off or damaged ({type(error).__name__})"
+    else:
+        return ""
+    if not is_mcap:
+        raise RecordingError(RecordingText.NO_MCAP(path=path))
+    return reason
+
+
+class _Channel(NamedTuple):
+    topic: TopicRows
+    sender: int
+    is_cdr: bool
+    watch: Callable[[memoryview, int], None] | None
+
+
+class _Rows:
+    """Makes rows of the records of MCAP files."""
+
+    def __init__(self, recording: ReadRecording, side: str, database: sqlite3.Connection) -> None:
+        self._recording = recording
+        self._side = side
+        self._database = database
+        self._held: dict[str, list[tuple[int, int, int]]] = {}
+        self._count = 0
+        self.begin_file()
+
+    def begin_file(self) -> None:
+        """Forget the ids of schemas and channels, which each file has its own of."""
+        self._types: dict[int, str] = {}
+        self._channels: dict[int, _Channel] = {}
+
+    def add_chunk(self, data: bytes) -> None:
+        from mcap.data_stream import ReadDataStream  # noqa: PLC0415
+        from mcap.records import Channel, Schema  # noqa: PLC0415
+
+        # A loop of its own takes a third of the time of the library's, which makes an object of each message.
+        view, at, end = memoryview(data), 0, len(data)
+        while at < end:
+            kind, length = _HEAD.unpack_from(data, at)
+            at += _HEAD.size
+            if at + length > end:
+                raise EOFError
+            if kind == _IS_MESSAGE:
+                channel, _, time, _ = _MESSAGE.unpack_from(data, at)
+                self.add_message(channel, time, view[at + _MESSAGE.size : at + length])
+            elif kind == _CHANNEL:
+                self.add_channel(Channel.read(ReadDataStream(BytesIO(view[at : at + length]))))
+            elif kind == _SCHEMA:
+                self.add_schema(Schema.read(ReadDataStream(BytesIO(view[at : at + length]))))
+            at += length
+
+    def add_schema(self, schema: Any) -> None:
+        self._types[schema.id] = schema.name
+
+    def add_channel(self, record: Any) -> None:
+        if record.id in self._channels:
+            return
+        recording, name = self._recording, record.topic
+        type_name = self._types.get(record.schema_id, "").replace("/msg/", "/")
+        topic = recording.topics.get((name, type_name))
+        if topic is None:
+            table = f"{self._side}_{len(recording.topics)}"
+            self._database.execute(f"CREATE TABLE {table} (key INTEGER, time INTEGER, sender INTEGER)")
+            topic = recording.topics[name, type_name] = TopicRows(name, type_name, table)
+            self._held[table] = []
+        publisher = record.metadata.get("publisher", "")
+        sender = topic.senders.setdefault(publisher, len(topic.senders))
+        offers = offers_of(record.metadata.get("offered_qos_profiles", ""))
+        # The next file of a split recording has the channel again.
+        topic.offers[publisher] = max(offers, topic.offers.get(publisher, []), key=len)
+        watch = None
+        if name.endswith(SERVICE_EVENTS):
+            watch = recording.calls.setdefault(name.removesuffix(SERVICE_EVENTS), SeenCalls()).add
+        elif name.endswith(GOAL_STATUS):
+            watch = recording.goals.setdefault(name.removesuffix(GOAL_STATUS), SeenGoals()).add
+        self._channels[record.id] = _Channel(topic, sender, record.message_encoding == "cdr", watch)
+
+    def add_message(self, channel_id: int, time: int, content: memoryview) -> None:
+        topic, sender, is_cdr, watch = self._channels[channel_id]
+        time = min(time, _LATEST)
+        self._held[topic.table].append((content_key(content, is_cdr=is_cdr), time, sender))
+        topic.messages += 1
+        recording = self._recording
+        recording.first = min(recording.first, time) if recording.messages else time
+        recording.last = max(recording.last, time)
+        recording.messages += 1
+        if watch is not None:
+            watch(content, time)
+        self._count += 1
+        if self._count >= _HELD:
+            self.write()
+
+    def write(self) -> None:
+        """Write the held rows to the database."""
+        for table, rows in self._held.items():
+            insert(self._database, table, rows)
+        self._count = 0
+
+
+def insert(database: sqlite3.Connection, table: str, rows: list[Any]) -> None:
+    """Write rows to a table, and empty their list."""
+    if rows:
+        database.executemany(f"INSERT INTO {table} VALUES ({','.join('?' * len(rows[0]))})", rows)  # noqa: S608
+        rows.clear()

@@ -1,0 +1,66 @@
+"""How the clocks of two recordings compare, and what ages follow."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from rsb_extras.audit.tests.conftest import Audited, Sides
+from rsb_extras.audit.tests.written import LATCHED
+
+Run = Callable[..., Audited]
+
+
+@pytest.fixture(params=[0.0, 3.5, -7200.0])
+def ahead(request: pytest.FixtureRequest) -> float:
+    found: float = request.param
+    return found
+
+
+def test_messages_both_ways_tell_the_offset(ahead: float, sides: Sides, audited: Run) -> None:
+    sides.spans(15)
+    sides.stream(sides.topic("/scan"), age=0.020)
+    sides.stream(sides.topic("/cmd_vel"), age=0.030, back=True)
+    found = audited("--back", "/cmd_*")
+    assert (found.json["offset_by"], found.code) == ("two_ways", 0)
+    assert found.json["offset"] == pytest.approx(ahead - 0.005, abs=1e-5)  # as the ways differ by 10 ms
+    assert found.json["offset_uncertainty"] == pytest.approx(0.025, abs=1e-5)
+    assert (found["/scan"]["way"], found["/cmd_vel"]["way"]) == ("to_far", "to_near")
+    assert found["/scan"]["age_p50"] == pytest.approx(0.029, abs=1e-5)
+    assert found["/cmd_vel"]["age_p50"] == pytest.approx(0.029, abs=1e-5)
+    assert found["/scan"]["age_p99"] == pytest.approx(0.034, abs=1e-5)
+
+
+def test_one_way_tells_ages_above_the_least(ahead: float, sides: Sides, audited: Run) -> None:
+    sides.spans(15)
+    sides.stream(sides.topic("/scan"))
+    sides.stream(sides.topic("/far_scan"), age=0.120)
+    found = audited()
+    assert (found.json["offset_by"], found.json["offset_uncertainty"]) == ("least_age", None)
+    assert found.json["offset"] == pytest.approx(ahead + 0.020, abs=1e-5)
+    assert found["/scan"]["age_p50"] == pytest.approx(0.004, abs=1e-5)
+    assert found["/far_scan"]["age_p50"] == pytest.approx(0.104, abs=1e-5)
+
+
+def test_given_offset_tells_ages_and_ways(ahead: float, sides: Sides, audited: Run) -> None:
+    sides.spans(15)
+    sides.stream(sides.topic("/scan"))
+    sides.stream(sides.topic("/cmd_vel"), back=True, lost={50})
+    found = audited(f"--offset={ahead}")
+    assert found.json["offset_by"] == "option"
+    assert found["/scan"]["age_p50"] == pytest.approx(0.024, abs=1e-5)
+    assert (found["/cmd_vel"]["way"], found["/cmd_vel"]["lost"]) == ("to_near", 1)
+    assert found.breaches == {("lost", "/cmd_vel", 1)}
+
+
+def test_latched_messages_tell_no_offset(ahead: float, sides: Sides, audited: Run) -> None:
+    """NEAR's recorder came 3 s after FAR's, and got the message then."""
+    sides.spans(15)
+    sides.stream(sides.topic("/scan"))
+    topic = sides.topic("/map", durability=LATCHED)
+    sides.near.add(topic, 4.0, 1)
+    sides.far.add(topic, 1.0, 1)
+    found = audited()
+    assert found.json["offset"] == pytest.approx(ahead + 0.020, abs=1e-5)
+    assert (found["/map"]["latched_value"], found["/map"]["age_p50"], found.code) == ("same", None, 0)

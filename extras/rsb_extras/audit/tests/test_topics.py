@@ -1,0 +1,294 @@
+"""What two recordings say of a topic: known losses, doubles, swaps, silences and last values."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from rsb_extras.audit.recorded import content_key
+from rsb_extras.audit.tests.conftest import Audited, Sides
+from rsb_extras.audit.tests.written import LATCHED, START, text
+
+Run = Callable[..., Audited]
+
+
+def stream(sides: Sides, topic: str, count: int = 200, *, lost: Any = (), doubled: Any = (), age: float = 0.02) -> None:
+    """Send a message each 0.05 s from 2 s on."""
+    for number in range(count):
+        at = 2 + number * 0.05
+        sides.near.add(topic, at, number)
+        for again in range((number not in lost) + (number in doubled)):
+            sides.far.add(topic, at + age + again * 0.001, number)
+
+
+def test_all_that_crossed_is_no_breach(sides: Sides, audited: Run) -> None:
+    sides.spans(15)
+    stream(sides, sides.topic("/scan"))
+    found = audited()
+    scan = found["/scan"]
+    assert (found.code, found.json["ok"], found.breaches) == (0, True, set())
+    assert (scan["near"], scan["far"], scan["matched"], scan["by_order"]) == (200, 200, 200, 0)
+    assert (scan["lost"], scan["doubled"], scan["disordered"], scan["early"], scan["undecided"]) == (0, 0, 0, 0, 0)
+    assert found.json["overlap"] == pytest.approx(14.98)  # the least age counts as 0
+
+
+def test_reliable_losses_and_doubles_are_breaches(sides: Sides, audited: Run) -> None:
+    sides.spans(15)
+    stream(sides, sides.topic("/scan"), lost={50, 51, 120}, doubled={60, 61})
+    found = audited()
+    assert (found["/scan"]["lost"], found["/scan"]["doubled"], found["/scan"]["matched"]) == (3, 2, 197)
+    assert (found.code, found.json["ok"]) == (1, False)
+    assert found.breaches == {("lost", "/scan", 3), ("doubled", "/scan", 2)}
+
+
+@pytest.mark.parametrize(
+    ("reliability", "known"), [("best_effort", False), (2, False), ("", None), ("odd", None), ("[", None)]
+)
+def test_losses_without_a_promise_are_no_breach(reliability: Any, known: Any, sides: Sides, audited: Run) -> None:
+    sides.spans(15)
+    stream(sides, sides.topic("/scan", reliability=reliability), lost={50}, doubled={70})
+    found = audited()
+    assert (found.code, found["/scan"]["reliable"]) == (0, known)
+    assert (found["/scan"]["lost"], found["/scan"]["doubled"]) == (1, 1)
+
+
+def test_numbers_of_older_rosbag2_are_policies(sides: Sides, audited: Run) -> None:
+    sides.spans(15)
+    stream(sides, sides.topic("/scan", reliability=1, durability=1), lost={50})
+    found = audited()
+    assert (found["/scan"]["reliable"], found["/scan"]["latched"], found.code) == (True, True, 1)
+
+
+def test_swapped_messages_are_out_of_order(sides: Sides, audited: Run) -> None:
+    sides.spans(15)
+    topic = sides.topic("/scan")
+    for number in range(100):
+        sides.near.add(topic, 2 + number * 0.05, number)
+        late = 0.08 if number in (10, 40) else 0.02  # each comes after the next one
+        sides.far.add(topic, 2 + number * 0.05 + late, number)
+    found = audited()
+    assert found["/scan"]["disordered"] == 2
+    assert found.breaches == {("disordered", "/scan", 2)}
+
+
+def test_order_counts_for_each_publisher(sides: Sides, audited: Run) -> None:
+    """Our own recordings tell publishers apart; rosbag2 says how many there are."""
+    sides.spans(15)
+    for name in ("a", "b"):
+        sides.near.topic("/tf", publisher=name)
+    sides.far.topic("/tf", publisher="link")
+    sides.near.topic("/odom", publishers=2)
+    sides.far.topic("/odom")
+    for number in range(100):
+        at, name = 2 + number * 0.05, "ab"[number % 2]
+        sides.near.add("/tf", at, number, publisher=name)
+        sides.far.add("/tf", at + (0.08 if name == "a" else 0.02), number, publisher="link")
+        sides.near.add("/odom", at, number)
+        sides.far.add("/odom", at + (0.08 if name == "a" else 0.02), number)
+    found = audited()
+    assert (found["/tf"]["disordered"], found["/odom"]["disordered"], found.code) == (0, None, 0)
+
+
+def test_equal_messages_are_matched_by_order(sides: Sides, audited: Run) -> None:
+    sides.spans(15)
+    topic, other = sides.topic("/alive"), sides.topic("/stop")
+    for number in range(100):
+        at = 2 + number * 0.05
+        sides.near.add(topic, at, 7)
+        sides.far.add(topic, at + 0.07, 7)
+        sides.near.add(other, at, 7)
+        if number not in (30, 31, 60):
+            sides.far.add(other, at + 0.02, 7)
+    found = audited("--offset", "0")
+    alive, stop = found["/alive"], found["/stop"]
+    assert (alive["by_order"], alive["lost"], alive["doubled"]) == (100, 0, 0)
+    assert alive["age_p50"] == pytest.approx(0.07)
+    assert (stop["by_order"], stop["lost"], stop["doubled"]) == (97, 3, 0)
+    assert found.breaches == {("lost", "/stop", 3)}
+
+
+def test_more_equal_messages_than_sent_are_doubled(sides: Sides, audited: Run) -> None:
+    sides.spans(15)
+    topic = sides.topic("/alive")
+    for number in range(100):
+        at = 2 + number * 0.05
+        sides.near.add(topic, at, 7)
+        for again in range(1 + (number == 70)):
+            sides.far.add(topic, at + 0.02 + again * 0.001, 7)
+    found = audited("--offset", "0")
+    assert (found["/alive"]["lost"], found["/alive"]["doubled"]) == (0, 1)
+
+
+def test_equal_messages_outside_the_overlap_are_no_losses(sides: Sides, audited: Run) -> None:
+    """FAR begins later and ends earlier, while messages are in flight."""
+    topic = sides.topic("/alive")
+    for number in range(400):
+        at = number * 0.01
+        sides.near.add(topic, at, 7)
+        if 1.0 <= at + 0.025 <= 3.0:
+            sides.far.add(topic, at + 0.025, 7)
+    found = audited("--offset", "0")
+    assert (found["/alive"]["lost"], found["/alive"]["doubled"], found.code) == (0, 0, 0)
+
+
+def test_padding_and_options_are_no_content(sides: Sides, audited: Run) -> None:
+    sides.spans(15)
+    topic = sides.topic("/scan")
+    for number in range(60):
+        content = b"\0\1\0\0" + number.to_bytes(4, "little") + bytes(number % 3) + b"x" + bytes(number % 2)
+        sides.near.add(topic, 2 + number * 0.1, content)
+        padded = content[:2] + b"\0\3" + content[4:] + bytes(-len(content) % 4)
+        sides.far.add(topic, 2 + number * 0.1 + 0.01, padded)
+    found = audited()
+    assert (found["/scan"]["matched"], found["/scan"]["lost"], found.code) == (60, 0, 0)
+
+
+def test_only_common_time_counts(sides: Sides, audited: Run) -> None:
+    """NEAR begins earlier and ends later; the last second of the common time is undecided."""
+    topic = sides.topic("/scan")
+    for number in range(200):
+        at = number * 0.1
+        sides.near.add(topic, at, number)
+        if 5.0 <= at + 0.01 <= 15.0 and number not in (60, 149):
+            sides.far.add(topic, at + 0.01, number)
+    sides.far.add(sides.far.topic("/other"), 15.0, 1)
+    found = audited("--offset", "0")
+    assert (found["/scan"]["lost"], found["/scan"]["undecided"]) == (1, 2)  # 150 is on its way at the end
+
+
+def test_messages_before_the_first_that_crossed_are_early(sides: Sides, audited: Run) -> None:
+    sides.spans(15)
+    stream(sides, sides.topic("/scan"), lost=set(range(40)))
+    found = audited()
+    assert (found["/scan"]["early"], found["/scan"]["lost"], found.code) == (40, 0, 0)
+
+
+def test_topic_without_any_message_is_lost(sides: Sides, audited: Run) -> None:
+    sides.spans(15)
+    stream(sides, sides.topic("/odom"))
+    topic = sides.topic("/scan")
+    for number in range(20):
+        sides.near.add(topic, 2 + number * 0.1, number)
+    found = audited()
+    assert found.breaches == {("lost", "/scan", 20)}
+
+
+def test_messages_from_elsewhere_are_counted_apart(sides: Sides, audited: Run) -> None:
+    sides.spans(15)
+    stream(sides, sides.topic("/tf"))
+    for number in range(30):
+        sides.far.add("/tf", 3 + number * 0.1, 10_000 + number)
+    found = audited()
+    assert (found["/tf"]["elsewhere"], found["/tf"]["doubled"], found.code) == (30, 0, 0)
+
+
+def test_topic_without_common_messages_is_not_judged(sides: Sides, audited: Run) -> None:
+    sides.spans(15)
+    stream(sides, sides.topic("/scan"))
+    topic = sides.topic("/rosout")
+    for number in range(20):
+        sides.near.add(topic, 2 + number * 0.1, number)
+        sides.far.add(topic, 2 + number * 0.1, 1000 + number)
+    found = audited()
+    assert (found["/rosout"]["nothing_common"], found["/rosout"]["lost"], found.code) == (True, 0, 0)
+
+
+@pytest.mark.parametrize(
+    ("far", "state", "code"),
+    [([1, 2], "same", 0), ([1], "old", 1), ([], "absent", 1), ([1, 2, 1], "old", 1), ([2], "same", 0)],
+)
+def test_last_latched_value(far: list[int], state: str, code: int, sides: Sides, audited: Run) -> None:
+    sides.spans(15)
+    topic = sides.topic("/map", durability=LATCHED)
+    for at, number in enumerate((1, 2)):
+        sides.near.add(topic, 3.0 + at, number)
+    for at, number in enumerate(far):
+        sides.far.add(topic, 3.1 + at, number)
+    found = audited()
+    assert (found["/map"]["latched_value"], found.code) == (state, code)
+    assert (("latched", "/map", 1) in found.breaches) == (state != "same")
+
+
+def test_latched_value_of_the_last_second_is_undecided(sides: Sides, audited: Run) -> None:
+    sides.spans(15)
+    topic = sides.topic("/map", durability=LATCHED)
+    sides.near.add(topic, 3.0, 1)
+    sides.far.add(topic, 3.1, 1)
+    sides.near.add(topic, 14.9, 2)
+    found = audited()
+    assert (found["/map"]["latched_value"], found["/map"]["undecided"], found.code) == ("same", 1, 0)
+
+
+def test_each_latched_publisher_keeps_a_value(sides: Sides, audited: Run) -> None:
+    """They may arrive in any order, but each has to arrive."""
+    sides.spans(15)
+    topic, other = (sides.topic(name, durability=LATCHED, publishers=2) for name in ("/tf_static", "/static"))
+    for number in (1, 2):
+        sides.near.add(topic, 3.0 + number, number)
+        sides.far.add(topic, 8.0 - number, number)
+        sides.near.add(other, 3.0 + number, number)
+    sides.far.add(other, 3.1, 1)
+    found = audited()
+    assert (found["/tf_static"]["latched_value"], found["/static"]["latched_value"]) == ("same", "old")
+
+
+def test_silences_have_times_of_both_sides(sides: Sides, audited: Run) -> None:
+    sides.spans(30)
+    topic = sides.topic("/scan", reliability="best_effort")
+    for number in range(200):  # the node is silent from 12 s to 15 s, and the bridge from 5 s to 8 s and from 18 s on
+        at = 2 + number * 0.1 if number < 100 else 5 + number * 0.1
+        sides.near.add(topic, at, number)
+        if not 5 < at < 8 and at < 18:
+            sides.far.add(topic, at + 0.01, number)
+    gaps = audited("--gap", "1.5")["/scan"]["gaps"]
+    near = [(each["start"] - START, each["end"] - START, each["other"], each["open"]) for each in gaps["near"]]
+    far = [(each["start"] - START, each["end"] - START, each["other"], each["open"]) for each in gaps["far"]]
+    assert near == [
+        (pytest.approx(11.9, abs=1e-3), pytest.approx(15.0, abs=1e-3), 0, False),
+        (pytest.approx(24.9, abs=1e-3), pytest.approx(30.0, abs=1e-3), 0, True),
+    ]
+    assert [each[2:] for each in far] == [(29, False), (0, False), (70, True)]
+    assert far[0][:2] == (pytest.approx(5.01, abs=0.02), pytest.approx(8.01, abs=0.02))
+    assert far[2][:2] == (pytest.approx(17.91, abs=0.02), pytest.approx(30.0, abs=1e-3))
+
+
+def test_slow_topics_have_no_silences(sides: Sides, audited: Run) -> None:
+    sides.spans(30)
+    topic = sides.topic("/battery")
+    for number in range(6):
+        sides.near.add(topic, 2 + number * 4, number)
+        sides.far.add(topic, 2.01 + number * 4, number)
+    assert audited()["/battery"]["gaps"] == {"near": [], "far": []}
+
+
+def test_lasting_silences_are_counted(sides: Sides, audited: Run) -> None:
+    """No more than a hundred are listed."""
+    sides.spans(400)
+    topic = sides.topic("/scan")
+    for number in range(520):
+        at = number // 4 * 3 + number % 4 * 0.1
+        for side in sides:
+            side.add(topic, at + 1, number)
+    scan = audited("--gap", "2")["/scan"]
+    assert (len(scan["gaps"]["near"]), scan["more_gaps"]["near"]) == (100, 30)
+
+
+def test_short_messages_that_are_no_cdr(sides: Sides, audited: Run) -> None:
+    sides.spans(15)
+    topic = sides.topic("/odd")
+    for number in range(3):
+        for side in sides:
+            side.add(topic, 2 + number, bytes(number))
+    assert audited()["/odd"]["matched"] == 3
+
+
+def test_content_differs_by_any_bit() -> None:
+    base = text(5)
+    keys = {content_key(memoryview(base), is_cdr=True)}
+    for at in (0, 1, *range(4, len(base))):
+        other = bytearray(base)
+        other[at] ^= 1
+        keys.add(content_key(memoryview(other), is_cdr=True))
+    assert len(keys) == len(base) - 1
