@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from rsb_bridge.model.text import join_first, plural
 from rsb_bridge.model.wording import Wording
 from rsb_console.notation.formats import milliseconds, span
-from rsb_extras.audit.matching import IN_FLIGHT, SECOND
+from rsb_extras.audit.matching import IN_FLIGHT, OPENING, SECOND
 from rsb_extras.audit.unanswered import CALL_TIME
 
 if TYPE_CHECKING:
@@ -39,7 +39,8 @@ class AuditText(Wording):
     CUT = "{side:<4}  {path}: {reason}; read as far as it goes"
     CLOCKS = "Both cover {overlap:.1f} s. FAR's clock is {offset} {direction}: {by}."
     NO_OVERLAP = "The recordings have no time in common: nothing can be judged."
-    EARLY = "early: before a topic's first message that crossed. end: in the last {seconds:g} s, perhaps on its way."
+    EARLY = "early: before the first message of a topic that crossed, within {opening:g} s."
+    AT_END = "end: in the last {seconds:g} s, perhaps on its way."
     OTHER = "other: only on the receiving side. If a topic goes from FAR to NEAR, give --back TOPIC."
     BY_ORDER = "{topic}: {count:,} of {all:,} messages equal others; which of them crossed is told by their order"
     NOT_JUDGED = "not judged, as the sides have no message in common (not bridged, or changed on the way): {topics}"
@@ -68,8 +69,10 @@ def lines_of(report: AuditReport) -> Iterator[str]:
     if report.topics:
         yield ""
         yield from _table(report.topics)
-        if any(each.early or each.undecided for each in report.topics):
-            yield AuditText.EARLY(seconds=IN_FLIGHT / SECOND)
+        if any(each.early for each in report.topics):
+            yield AuditText.EARLY(opening=OPENING / SECOND)
+        if any(each.undecided for each in report.topics):
+            yield AuditText.AT_END(seconds=IN_FLIGHT / SECOND)
         if any(each.elsewhere for each in report.topics):
             yield AuditText.OTHER()
     for more in (_notes, _silences, _answers, _verdict):

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 SECOND = 1_000_000_000
 IN_FLIGHT = SECOND
 """ns before the end in which a message may still be on its way, beside the p99 of its topic's ages. A round figure."""
+OPENING = 10 * SECOND
+"""ns from a topic's first message in which nothing has to cross yet. A round figure: discovery takes 1 to 3 s."""
 GAPS_KEPT = 100  # gaps of a topic on a side that are listed; the others are counted
 _PIECE = 200_000  # equal messages that are compared at once: some 40 MB
 _HELD = 20_000  # rows before they are written
@@ -79,7 +81,7 @@ class AuditedTopic(msgspec.Struct):
 
     Attributes:
         by_order: messages that are equal to others, so that their order decided.
-        early: messages from before the first that crossed.
+        early: messages from before the first that crossed, for `OPENING` at most.
         undecided: messages that may have been on their way at the end.
         elsewhere: messages that only the receiving side has.
         latched_value: of a latched topic, or None.
@@ -242,10 +244,11 @@ class Audit:
             (p50,), (p99,) = ages[0], ages[-1]
             result.age_p50, result.age_p99 = p50 / SECOND, p99 / SECOND
             settled -= max(p99, 0)
-        # Before the first message crosses, a bridge or a recorder may not have been there yet. Of a topic that has
-        # nothing on the receiving side, all are lost.
+        # Before the first message crosses, a bridge or a recorder may not have found the topic yet. Of a topic that
+        # has nothing on the receiving side, all are lost.
         first = one("SELECT min(source) FROM pair")
-        opened = self.begin if first is None else max(first, self.begin)
+        begin = max(self.begin, one("SELECT min(time) FROM source") or 0)
+        opened = begin if first is None else max(min(first, begin + OPENING), begin)
         between = "SELECT count(*) FROM missing WHERE time >= ? AND time <= ?"
         if not result.nothing_common:
             result.lost = one(between, opened, settled)
@@ -360,12 +363,15 @@ class _Matches:
             self._surplus += [(row[1], True, False) for row in sinks[1:]]
         else:
             self._match_newest(rows)
-        if len(self._pair) + len(self._missing) + len(self._surplus) > _HELD:
-            self.write()
+        self._write_if_full()
 
     def write(self) -> None:
         for table, rows in (("pair", self._pair), ("missing", self._missing), ("surplus", self._surplus)):
             insert(self._database, table, rows)
+
+    def _write_if_full(self) -> None:
+        if len(self._pair) + len(self._missing) + len(self._surplus) > _HELD:
+            self.write()
 
     def _cross(self, pairs: Iterable[tuple[_Row, _Row]], *, alike: bool) -> None:
         before = len(self._pair)
@@ -389,6 +395,5 @@ class _Matches:
                 self._cross([(waiting.pop(), row)], alike=True)
             else:
                 self._surplus.append((row[1], was_sent, True))
-            if len(self._pair) + len(self._surplus) > _HELD:
-                self.write()
+            self._write_if_full()
         self._missing += [(row[1],) for row in waiting]

@@ -7,23 +7,27 @@ recording; the disk holds about 30 bytes a message.
 from __future__ import annotations
 
 import hashlib
+import os
 import sqlite3
 import struct
+import zlib
 from dataclasses import dataclass, field
 from io import BytesIO
 from typing import IO, TYPE_CHECKING, Any, NamedTuple
 
 import yaml
+import zstandard
 
 from rsb_bridge.model.wording import Wording
 from rsb_extras.audit.unanswered import GOAL_STATUS, SERVICE_EVENTS, SeenCalls, SeenGoals
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
 _HEAD, _MESSAGE = struct.Struct("<BQ"), struct.Struct("<HIQQ")
-_SCHEMA, _CHANNEL, _IS_MESSAGE = 3, 4, 5
+_MAGIC = b"\x89MCAP0\r\n"
+_SCHEMA, _CHANNEL, _IS_MESSAGE, _CHUNK, _DATA_END = 3, 4, 5, 6, 15  # opcodes of records
 _LATEST = (1 << 62) - 1  # ns; later times of a damaged file would not fit into the database when compared
 _LONGEST = 1 << 30
 """Bytes of one record, chunks included. A round figure: rosbag2 writes chunks of less than 1 MB, and a message is at
@@ -43,7 +47,7 @@ class RecordingText(Wording):
     NO_MCAP = "{path} is no MCAP file: record with `ros2 bag record --storage mcap`, or convert it"
     NO_MCAP_WITHIN = "{path} has no file *.mcap: record with `ros2 bag record --storage mcap`, or convert it"
     COMPRESSED = "{path} is compressed as a whole: unpack it with `zstd -d`"
-    EMPTY = "{path} has no message"
+    EMPTY = "{path} has no message{cut}"
     NO_ROOM = "the folder for temporary files cannot hold the audit ({reason}): set TMPDIR to one with more room"
 
 
@@ -94,7 +98,7 @@ class ReadRecording:
     """A recording that was read.
 
     Attributes:
-        files: those of a folder, in order.
+        files: those of a folder.
         topics: by name and type.
         first, last: ns, log times of messages, or 0 if there is none.
         cut: why the rest was not read, or empty.
@@ -141,7 +145,7 @@ def read_recording(path: Path, side: str, database: sqlite3.Connection) -> ReadR
             recording.cut = cut if file == path else f"{file.name}: {cut}"
     rows.write()
     if not recording.messages:
-        raise RecordingError(RecordingText.EMPTY(path=path))
+        raise RecordingError(RecordingText.EMPTY(path=path, cut=recording.cut and f": {recording.cut}"))
     return recording
 
 
@@ -154,9 +158,9 @@ def content_key(content: memoryview, *, is_cdr: bool) -> int:
     if not is_cdr or len(content) < 4:
         made = hashlib.blake2b(content, digest_size=8)
     else:
-        made = hashlib.blake2b(content[:2], digest_size=8)
-        made.update(content[4:])
-        made.update(bytes(-len(content) % 4))
+        made = hashlib.blake2b(content[4:], digest_size=8, salt=content[:2])
+        if len(content) % 4:
+            made.update(bytes(-len(content) % 4))
     return int.from_bytes(made.digest(), "little", signed=True)
 
 
@@ -182,7 +186,7 @@ def _policy(known: dict[object, bool], value: object) -> bool | None:
 def _files_of(path: Path) -> list[Path]:
     if not path.is_dir():
         return [path]
-    files = sorted(path.glob("*.mcap"), key=lambda file: (len(file.name), file.name))  # bag_9 before bag_10
+    files = sorted(path.glob("*.mcap"))
     if not files:
         text = RecordingText.COMPRESSED if any(path.glob("*.mcap.zstd")) else RecordingText.NO_MCAP_WITHIN
         raise RecordingError(text(path=path))
@@ -192,40 +196,63 @@ def _files_of(path: Path) -> list[Path]:
 def _read(opened: IO[bytes], path: Path, rows: _Rows) -> str:
     """Read a file, and return why its end was not read, or an empty text."""
     try:
-        from mcap.exceptions import InvalidMagic  # noqa: PLC0415 -- everything else does without
-        from mcap.records import Channel, Chunk, Message, Schema  # noqa: PLC0415
-        from mcap.stream_reader import StreamReader, get_chunk_data_stream  # noqa: PLC0415
+        import mcap.records  # noqa: F401, PLC0415 -- everything else does without
     except ImportError:
         raise RecordingError(RecordingText.NOT_INSTALLED()) from None
-
-    records = StreamReader(opened, emit_chunks=True, record_size_limit=_LONGEST).records
+    if opened.read(len(_MAGIC)) != _MAGIC:
+        raise RecordingError(RecordingText.NO_MCAP(path=path))
     rows.begin_file()
-    is_mcap = False
     try:
-        for record in records:
-            is_mcap = True
-            if isinstance(record, Chunk):
-                # A damaged chunk would look like losses, so that its sum is compared.
-                stream, length = get_chunk_data_stream(record, validate_crc=True)
-                rows.add_chunk(stream.read(length))
-            elif isinstance(record, Message):
-                rows.add_message(record.channel_id, record.log_time, memoryview(record.data))
-            elif isinstance(record, Channel):
-                rows.add_channel(record)
-            elif isinstance(record, Schema):
-                rows.add_schema(record)
+        for kind, record in _records(opened):
+            rows.add_record(kind, record)
     except (sqlite3.Error, OSError):
         raise
-    except InvalidMagic:
-        reason = "its end is missing"
     # What the libraries of MCAP, zstd and lz4 raise has no common class.
     except Exception as error:  # noqa: BLE001
-        reason = f"it is cut off or damaged ({type(error).__name__})"
-    else:
-        return ""
-    if not is_mcap:
-        raise RecordingError(RecordingText.NO_MCAP(path=path))
-    return reason
+        return f"it is cut off or damaged ({type(error).__name__})"
+    return ""
+
+
+def _records(opened: IO[bytes]) -> Iterator[tuple[int, bytes]]:
+    """Yield the records that count, up to the end of the data. The library's reader spends a fifth more on indices.
+
+    Raises:
+        EOFError: the file ends earlier.
+    """
+    while len(head := opened.read(_HEAD.size)) == _HEAD.size:
+        kind, length = _HEAD.unpack(head)
+        if kind == _DATA_END:
+            return
+        if kind not in (_SCHEMA, _CHANNEL, _IS_MESSAGE, _CHUNK):
+            opened.seek(length, os.SEEK_CUR)
+            continue
+        if length > _LONGEST:
+            raise OverflowError
+        record = opened.read(length)
+        if len(record) < length:
+            break
+        yield kind, record
+    raise EOFError
+
+
+def unpacked(chunk: Any) -> bytes:
+    """Return the content of a chunk. The library's own function takes as much memory as a file asks for."""
+    size = chunk.uncompressed_size
+    if size > _LONGEST:
+        raise OverflowError
+    data: bytes = chunk.data
+    if chunk.compression == "zstd":
+        data = zstandard.ZstdDecompressor().stream_reader(data).read(size)
+    elif chunk.compression == "lz4":
+        from lz4.frame import LZ4FrameDecompressor  # noqa: PLC0415 -- comes with mcap
+
+        data = LZ4FrameDecompressor().decompress(data, max_length=size)
+    elif chunk.compression:
+        raise NotImplementedError(chunk.compression)
+    # A damaged chunk would look like losses.
+    if len(data) != size or chunk.uncompressed_crc not in (0, zlib.crc32(data)):
+        raise ValueError
+    return data
 
 
 class _Channel(NamedTuple):
@@ -251,11 +278,23 @@ class _Rows:
         self._types: dict[int, str] = {}
         self._channels: dict[int, _Channel] = {}
 
-    def add_chunk(self, data: bytes) -> None:
+    def add_record(self, kind: int, record: bytes | memoryview) -> None:
         from mcap.data_stream import ReadDataStream  # noqa: PLC0415
-        from mcap.records import Channel, Schema  # noqa: PLC0415
+        from mcap.records import Channel, Chunk, Schema  # noqa: PLC0415
 
-        # A loop of its own takes a third of the time of the library's, which makes an object of each message.
+        if kind == _IS_MESSAGE:
+            channel, _, time, _ = _MESSAGE.unpack_from(record)
+            self._add_message(channel, time, memoryview(record)[_MESSAGE.size :])
+        elif kind == _CHANNEL:
+            self._add_channel(Channel.read(ReadDataStream(BytesIO(record))))
+        elif kind == _SCHEMA:
+            schema = Schema.read(ReadDataStream(BytesIO(record)))
+            self._types[schema.id] = schema.name
+        else:
+            self._add_chunk(unpacked(Chunk.read(ReadDataStream(BytesIO(record)))))
+
+    def _add_chunk(self, data: bytes) -> None:
+        # The library's own loop takes three times as long, as it makes an object of each message.
         view, at, end = memoryview(data), 0, len(data)
         while at < end:
             kind, length = _HEAD.unpack_from(data, at)
@@ -264,17 +303,12 @@ class _Rows:
                 raise EOFError
             if kind == _IS_MESSAGE:
                 channel, _, time, _ = _MESSAGE.unpack_from(data, at)
-                self.add_message(channel, time, view[at + _MESSAGE.size : at + length])
-            elif kind == _CHANNEL:
-                self.add_channel(Channel.read(ReadDataStream(BytesIO(view[at : at + length]))))
-            elif kind == _SCHEMA:
-                self.add_schema(Schema.read(ReadDataStream(BytesIO(view[at : at + length]))))
+                self._add_message(channel, time, view[at + _MESSAGE.size : at + length])
+            elif kind in (_CHANNEL, _SCHEMA):
+                self.add_record(kind, view[at : at + length])
             at += length
 
-    def add_schema(self, schema: Any) -> None:
-        self._types[schema.id] = schema.name
-
-    def add_channel(self, record: Any) -> None:
+    def _add_channel(self, record: Any) -> None:
         if record.id in self._channels:
             return
         recording, name = self._recording, record.topic
@@ -297,7 +331,7 @@ class _Rows:
             watch = recording.goals.setdefault(name.removesuffix(GOAL_STATUS), SeenGoals()).add
         self._channels[record.id] = _Channel(topic, sender, record.message_encoding == "cdr", watch)
 
-    def add_message(self, channel_id: int, time: int, content: memoryview) -> None:
+    def _add_message(self, channel_id: int, time: int, content: memoryview) -> None:
         topic, sender, is_cdr, watch = self._channels[channel_id]
         time = min(time, _LATEST)
         self._held[topic.table].append((content_key(content, is_cdr=is_cdr), time, sender))

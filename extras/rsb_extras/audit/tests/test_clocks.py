@@ -64,3 +64,13 @@ def test_latched_messages_tell_no_offset(ahead: float, sides: Sides, audited: Ru
     found = audited()
     assert found.json["offset"] == pytest.approx(ahead + 0.020, abs=1e-5)
     assert (found["/map"]["latched_value"], found["/map"]["age_p50"], found.code) == ("same", None, 0)
+
+
+def test_repeated_messages_tell_no_offset(ahead: float, sides: Sides, audited: Run) -> None:
+    sides.spans(15)
+    sides.stream(sides.topic("/scan"))
+    topic = sides.topic("/mode")
+    sides.far.add(topic, 3.0, 1)
+    for at in (5.0, 6.0):
+        sides.near.add(topic, at, 1)
+    assert audited().json["offset"] == pytest.approx(ahead + 0.020, abs=1e-5)

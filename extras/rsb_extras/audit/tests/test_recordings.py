@@ -5,19 +5,26 @@ from __future__ import annotations
 import json
 import struct
 import sys
+import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import lz4.frame
 import pytest
+import zstandard
+from mcap.records import Chunk
 from mcap.writer import CompressionType
+from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
 from tests.support.wording import says
 
 from rsb_extras.audit.audit_table import AuditText
-from rsb_extras.audit.recorded import RecordingText, insert
+from rsb_extras.audit.recorded import RecordingText, insert, unpacked
 from rsb_extras.audit.tests.audit_places import CALLS_REMEMBERED, INSERTS, MATCHES_HELD, PIECE, ROWS_HELD
 from rsb_extras.audit.tests.conftest import Audited, Sides
-from rsb_extras.audit.tests.written import Written, text
+from rsb_extras.audit.tests.written import START, Written, text
 from rsb_extras.audit.topic_pairs import PairText
 
 Run = Callable[..., Audited]
@@ -32,14 +39,14 @@ def test_prefix_pairs_topics(sides: Sides, audited: Run) -> None:
         sides.near.topic(name)
         sides.far.topic(f"/robot1{name}")
         sides.stream(name, f"/robot1{name}", lost={50})
-    sides.far.topic("/robot2/scan")
+    sides.far.topic("/robot0/scan")
     found = audited()
     pairs = {(each["topic"], each["far_topic"], each["paired_by"]) for each in found.json["topics"]}
     assert pairs == {
         ("/scan", "/robot1/scan", "prefix"), ("/camera/image", "/robot1/camera/image", "prefix")
     }  # fmt: skip
     assert found.breaches == {("lost", "/scan", 1), ("lost", "/camera/image", 1)}
-    assert (found.json["only_near"], found.json["only_far"]) == (["/only/near"], ["/only/far", "/robot2/scan"])
+    assert (found.json["only_near"], found.json["only_far"]) == (["/only/near"], ["/only/far", "/robot0/scan"])
 
 
 def test_equal_prefixes_pair_nothing(sides: Sides, audited: Run) -> None:
@@ -170,6 +177,22 @@ def test_damaged_chunk_ends_a_recording(tmp_path: Path, ran: Any) -> None:
     assert 0 < done["far"]["messages"] < 700
 
 
+@pytest.mark.parametrize("compression", ["zstd", "lz4"])
+def test_chunk_gets_no_more_memory_than_it_says(compression: str) -> None:
+    pack = zstandard.compress if compression == "zstd" else lz4.frame.compress
+    content = pack(bytes(50_000_000))
+    tracemalloc.start()
+    with pytest.raises(ValueError):
+        unpacked(Chunk(compression, content, 0, 0, 1, 1000))
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 10_000_000
+    with pytest.raises(OverflowError):
+        unpacked(Chunk(compression, content, 0, 0, 0, 1 << 40))
+    with pytest.raises(ValueError):
+        unpacked(Chunk(compression, pack(bytes(10)), 0, 0, 0, 1000))
+
+
 def test_folder_of_rosbag2(sides: Sides, tmp_path: Path, audited: Run) -> None:
     """Split into several files, each with its own numbers of channels."""
     folder = tmp_path / "far_bag"
@@ -178,7 +201,7 @@ def test_folder_of_rosbag2(sides: Sides, tmp_path: Path, audited: Run) -> None:
     sides.near.spans(15)
     topic = sides.near.topic("/scan")
     parts = [Written(folder / f"far_{number}.mcap") for number in (2, 10)]
-    parts[1].topic("/other")
+    parts[1].add(parts[1].topic("/other"), 15, 1)  # has the number of /scan in the other file
     for part in parts:
         part.topic(topic)
     for number in range(100):
@@ -188,8 +211,31 @@ def test_folder_of_rosbag2(sides: Sides, tmp_path: Path, audited: Run) -> None:
     for part in parts:
         part.done()
     found = audited(far=folder)
-    assert (found["/scan"]["matched"], found["/scan"]["disordered"]) == (99, 0)
+    assert (found["/scan"]["far"], found["/scan"]["matched"], found["/scan"]["disordered"]) == (99, 99, 0)
+    assert found.json["only_far"] == ["/other"]
     assert found.breaches == {("lost", "/scan", 1)}
+
+
+def test_recording_of_another_writer(sides: Sides, tmp_path: Path, ran: Any) -> None:
+    """A folder as rosbags writes it, which knows rosbag2's own files, against a file of ours."""
+    none = QosTime(0, 0)
+    policies = (QosHistory.KEEP_LAST, 10, QosReliability.RELIABLE, QosDurability.VOLATILE, none, none)
+    qos = [Qos(*policies, QosLiveliness.AUTOMATIC, none, False)]
+    types = get_typestore(Stores.ROS2_JAZZY)
+    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as bag:
+        topic = bag.add_connection("/robot1/scan", "std_msgs/msg/String", typestore=types, offered_qos_profiles=qos)
+        for number in range(100):
+            bag.write(topic, round((START + 2.02 + number * 0.1) * 1e9), text(number))
+    sides.near.spans(15)
+    sides.near.topic("/scan")
+    for number in range(101):
+        sides.near.add("/scan", 2 + number * 0.1, number)
+    sides.near.done()
+    near, bag_path = str(sides.near.path), str(tmp_path / "bag")
+    (scan,) = json.loads(ran("audit", near, bag_path, "--json").out)["topics"]
+    assert (scan["far_topic"], scan["matched"], scan["lost"]) == ("/robot1/scan", 100, 0)
+    (back,) = json.loads(ran("audit", bag_path, near, "--json").out)["topics"]
+    assert (back["reliable"], back["latched"], back["matched"]) == (True, False, 100)
 
 
 @pytest.mark.parametrize(
@@ -197,7 +243,7 @@ def test_folder_of_rosbag2(sides: Sides, tmp_path: Path, audited: Run) -> None:
     [
         (b"", RecordingText.NO_MCAP),
         (b"SQLite format 3\0" * 8, RecordingText.NO_MCAP),
-        (b"\x89MCAP0\r\n", RecordingText.NO_MCAP),
+        (b"\x89MCAP0\r\n", RecordingText.EMPTY),
         (None, RecordingText.NOT_THERE),
     ],
 )
@@ -237,7 +283,7 @@ def test_recording_without_messages(sides: Sides, ran: Any) -> None:
 def test_missing_library_is_named(sides: Sides, monkeypatch: pytest.MonkeyPatch, ran: Any) -> None:
     sides.spans(15)
     sides.near.done()
-    monkeypatch.setitem(sys.modules, "mcap.stream_reader", None)
+    monkeypatch.setitem(sys.modules, "mcap.records", None)
     done = ran("audit", str(sides.near.path), str(sides.near.path))
     assert (done.code, says(done.err, RecordingText.NOT_INSTALLED)) == (2, True)
 
@@ -260,9 +306,11 @@ def test_rows_are_not_held_in_memory(sides: Sides, monkeypatch: pytest.MonkeyPat
     for place in INSERTS:
         place.set(monkeypatch, watched)
     sides.spans(15)
-    topic, other = sides.topic("/alive"), sides.topic("/scan")
+    topic, other, gone = sides.topic("/alive"), sides.topic("/scan"), sides.topic("/gone")
+    sides.far.add(gone, 2, 7)
     for number in range(1000):
         at = 2 + number * 0.01
+        sides.near.add(gone, at, 7)
         sides.near.add(topic, at, 7)
         sides.near.add(other, at, number)
         if number != 400:
@@ -270,6 +318,7 @@ def test_rows_are_not_held_in_memory(sides: Sides, monkeypatch: pytest.MonkeyPat
             sides.far.add(other, at + 0.002, number)
     found = audited("--offset", "0")
     assert [(found[name]["matched"], found[name]["lost"]) for name in (topic, other)] == [(999, 1), (999, 1)]
+    assert (found[gone]["matched"], found[gone]["lost"]) == (1, 999)
     assert longest <= 100
 
 

@@ -39,6 +39,7 @@ def test_reliable_losses_and_doubles_are_breaches(sides: Sides, audited: Run) ->
     stream(sides, sides.topic("/scan"), lost={50, 51, 120}, doubled={60, 61})
     found = audited()
     assert (found["/scan"]["lost"], found["/scan"]["doubled"], found["/scan"]["matched"]) == (3, 2, 197)
+    assert found["/scan"]["by_order"] == 0
     assert (found.code, found.json["ok"]) == (1, False)
     assert found.breaches == {("lost", "/scan", 3), ("doubled", "/scan", 2)}
 
@@ -124,13 +125,50 @@ def test_more_equal_messages_than_sent_are_doubled(sides: Sides, audited: Run) -
 def test_equal_messages_outside_the_overlap_are_no_losses(sides: Sides, audited: Run) -> None:
     """FAR begins later and ends earlier, while messages are in flight."""
     topic = sides.topic("/alive")
-    for number in range(400):
+    for number in range(1000):
         at = number * 0.01
         sides.near.add(topic, at, 7)
-        if 1.0 <= at + 0.025 <= 3.0:
+        if 3.0 <= at + 0.025 <= 7.0 and number not in (400, 401, 500):
             sides.far.add(topic, at + 0.025, 7)
     found = audited("--offset", "0")
+    assert (found["/alive"]["lost"], found["/alive"]["doubled"], found.code) == (3, 0, 1)
+
+
+def test_equal_messages_from_before_the_overlap_are_not_doubled(sides: Sides, audited: Run) -> None:
+    """NEAR begins while two messages are in flight, and soon only one is."""
+    topic = sides.topic("/alive")
+    for number in range(1000):
+        at = number * 0.01
+        sides.far.add(topic, at + (0.025 if at < 3.1 else 0.005), 7)
+        if at >= 3.0:
+            sides.near.add(topic, at, 7)
+    found = audited("--offset", "0")
     assert (found["/alive"]["lost"], found["/alive"]["doubled"], found.code) == (0, 0, 0)
+
+
+def test_offset_may_be_off_by_a_little(sides: Sides, audited: Run) -> None:
+    """By these clocks, messages come 1 ms before they are sent."""
+    sides.spans(15)
+    topic = sides.topic("/alive")
+    for number in range(100):
+        at = 2 + number * 0.05
+        sides.near.add(topic, at, 7)
+        if number not in (30, 31):
+            sides.far.add(topic, at - 0.001, 7)
+    found = audited("--offset", "0")
+    assert (found["/alive"]["lost"], found["/alive"]["doubled"], found["/alive"]["elsewhere"]) == (2, 0, 0)
+
+
+def test_slow_messages_are_undecided_for_longer(sides: Sides, audited: Run) -> None:
+    sides.spans(15)
+    topic = sides.topic("/scan")
+    for number in range(120):
+        at = 2 + number * 0.1
+        sides.near.add(topic, at, number)
+        if at + 3 < 15:
+            sides.far.add(topic, at + 3, number)
+    found = audited("--offset", "0")
+    assert (found["/scan"]["lost"], found["/scan"]["undecided"], found.code) == (0, 20, 0)
 
 
 def test_padding_and_options_are_no_content(sides: Sides, audited: Run) -> None:
@@ -165,6 +203,14 @@ def test_messages_before_the_first_that_crossed_are_early(sides: Sides, audited:
     assert (found["/scan"]["early"], found["/scan"]["lost"], found.code) == (40, 0, 0)
 
 
+def test_late_bridge_loses_what_is_not_early(sides: Sides, audited: Run) -> None:
+    """The topic's first message comes at 2 s, so that something has to cross from 12 s on."""
+    sides.spans(30)
+    stream(sides, sides.topic("/scan"), count=400, lost=set(range(300)))
+    found = audited()
+    assert (found["/scan"]["early"], found["/scan"]["lost"], found.code) == (200, 100, 1)
+
+
 def test_topic_without_any_message_is_lost(sides: Sides, audited: Run) -> None:
     sides.spans(15)
     stream(sides, sides.topic("/odom"))
@@ -184,10 +230,11 @@ def test_messages_from_elsewhere_are_counted_apart(sides: Sides, audited: Run) -
     assert (found["/tf"]["elsewhere"], found["/tf"]["doubled"], found.code) == (30, 0, 0)
 
 
-def test_topic_without_common_messages_is_not_judged(sides: Sides, audited: Run) -> None:
+@pytest.mark.parametrize("durability", ["volatile", LATCHED])
+def test_topic_without_common_messages_is_not_judged(durability: str, sides: Sides, audited: Run) -> None:
     sides.spans(15)
     stream(sides, sides.topic("/scan"))
-    topic = sides.topic("/rosout")
+    topic = sides.topic("/rosout", durability=durability)
     for number in range(20):
         sides.near.add(topic, 2 + number * 0.1, number)
         sides.far.add(topic, 2 + number * 0.1, 1000 + number)
@@ -197,7 +244,14 @@ def test_topic_without_common_messages_is_not_judged(sides: Sides, audited: Run)
 
 @pytest.mark.parametrize(
     ("far", "state", "code"),
-    [([1, 2], "same", 0), ([1], "old", 1), ([], "absent", 1), ([1, 2, 1], "old", 1), ([2], "same", 0)],
+    [
+        ([1, 2], "same", 0),
+        ([1], "old", 1),
+        ([], "absent", 1),
+        ([1, 2, 1], "old", 1),
+        ([2], "same", 0),
+        ([1, 99], "absent", 1),
+    ],
 )
 def test_last_latched_value(far: list[int], state: str, code: int, sides: Sides, audited: Run) -> None:
     sides.spans(15)
@@ -217,8 +271,13 @@ def test_latched_value_of_the_last_second_is_undecided(sides: Sides, audited: Ru
     sides.near.add(topic, 3.0, 1)
     sides.far.add(topic, 3.1, 1)
     sides.near.add(topic, 14.9, 2)
-    found = audited()
+    quick = sides.topic("/quick_map", durability=LATCHED)
+    for at, number in ((3.0, 1), (14.9, 2)):
+        sides.near.add(quick, at, number)
+        sides.far.add(quick, at + 0.01, number)
+    found = audited("--offset", "0")
     assert (found["/map"]["latched_value"], found["/map"]["undecided"], found.code) == ("same", 1, 0)
+    assert found["/quick_map"]["latched_value"] == "same"
 
 
 def test_each_latched_publisher_keeps_a_value(sides: Sides, audited: Run) -> None:
