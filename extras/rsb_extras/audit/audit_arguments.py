@@ -25,7 +25,8 @@ for example:
 
 exit codes:
   0  all that QoS promises has crossed, as far as the recordings show
-  1  something is missing, doubled, out of order or without an answer
+  1  something is missing, doubled, out of order or without an answer; or a recording
+     where messages should arrive is more than 10 s shorter
   2  the recordings cannot be compared: wrong usage, or a file that cannot be read"""
 
 
@@ -44,6 +45,8 @@ def add_audit_command(command: AddCommand, complete: Complete) -> None:
     parser.add_argument("--offset", type=offset, metavar="SECONDS", help=ahead)
     silence = "list silences that are longer, of topics that are usually not (%(default)g)"
     parser.add_argument("--gap", type=seconds, default=1.0, metavar="SECONDS", help=silence)
+    shorter = "one recording may be shorter: judge only the time of both"
+    parser.add_argument("--overlap", action="store_true", help=shorter)
     parser.add_argument("--json", action="store_true", help="print JSON, for programs")
 
 

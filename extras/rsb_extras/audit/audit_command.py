@@ -20,7 +20,9 @@ if TYPE_CHECKING:
 
 
 def audit(arguments: Namespace) -> int:
-    options = AuditOptions(arguments.topic, arguments.pair, arguments.back, arguments.offset, arguments.gap)
+    options = AuditOptions(
+        arguments.topic, arguments.pair, arguments.back, arguments.offset, arguments.gap, arguments.overlap
+    )
     try:
         report = compare(arguments.near, arguments.far, options)
     except (RecordingError, PairError) as error:

@@ -54,6 +54,7 @@ class AuditText(Wording):
     GOALS = "{action}: {goals:,} goals, {unanswered:,} ended on one side only, {unfinished:,} not ended"
     FAILED = "MISSING  {name}: {what}"
     NOTHING = "MISSING  the recordings have nothing in common: are they of the same time? Do names differ (--pair)?"
+    SHORTER = "MISSING  {side} begins or ends with {seconds} s of nothing; if its recorder did not run, give --overlap"
     PASSED = "All that QoS promises has crossed, as far as the recordings show; {judged} of {all} topics were judged."
 
 
@@ -179,6 +180,8 @@ def _verdict(report: AuditReport) -> Iterator[str]:
     for breach in report.breaches:
         if breach.kind == "nothing_compared":
             yield AuditText.NOTHING()
+        elif breach.kind == "shorter":
+            yield AuditText.SHORTER(side=breach.name.upper(), seconds=breach.count)
         else:
             yield AuditText.FAILED(name=breach.name, what=_what(breach, report))
     if not report.breaches:

@@ -7,14 +7,24 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from rsb_extras.audit.matching import IN_FLIGHT, SECOND, Audit, AuditedTopic, Clocks, OffsetBy, clocks_of, spread_of
+from rsb_extras.audit.matching import (
+    IN_FLIGHT,
+    OPENING,
+    SECOND,
+    Audit,
+    AuditedTopic,
+    Clocks,
+    OffsetBy,
+    clocks_of,
+    spread_of,
+)
 from rsb_extras.audit.recorded import new_database, read_recording
 from rsb_extras.audit.topic_pairs import PairError, PairText, pair_topics
 from rsb_extras.audit.unanswered import CALL_TIME, GOAL_STATUS
 
 if TYPE_CHECKING:
     import sqlite3
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Collection, Iterable, Iterator, Sequence
     from pathlib import Path
 
     from rsb_bridge.model.patterns import Pattern
@@ -34,6 +44,7 @@ class AuditOptions:
         back: topics that go from FAR to NEAR.
         offset: s that FAR's clock is ahead, or None to find out.
         gap: s.
+        overlap: whether one recording may be shorter.
     """
 
     topics: Sequence[Pattern] = ()
@@ -41,6 +52,7 @@ class AuditOptions:
     back: Sequence[Pattern] = ()
     offset: float | None = None
     gap: float = 1.0
+    overlap: bool = False
 
 
 class RecordingFacts(msgspec.Struct, frozen=True):
@@ -78,9 +90,10 @@ class Breach(msgspec.Struct, frozen=True):
     """What QoS promises, or the user named, and the recordings do not show.
 
     Attributes:
-        kind: ``lost``, ``doubled``, ``disordered``, ``latched``, ``not_crossed``, ``call``, ``goal``, or
-            ``nothing_compared`` if the recordings have no message or no time in common.
-        name: of the topic, service or action.
+        kind: ``lost``, ``doubled``, ``disordered``, ``latched``, ``not_crossed``, ``call``, ``goal``; ``shorter`` if a
+            side, where messages arrive, has none for so many seconds at its begin or end; or ``nothing_compared`` if
+            the recordings have no message or no time in common.
+        name: of the topic, service, action or side.
     """
 
     kind: str
@@ -134,6 +147,8 @@ def compare(near_path: Path, far_path: Path, options: AuditOptions) -> AuditRepo
     goals = list(_goals(near, far, paired.pairs))
     overlap = max(audit.end - audit.begin, 0) / SECOND
     breaches = [*_topic_breaches(topics, paired, options), *_other_breaches(calls, goals)]
+    if not options.overlap:
+        breaches += _shorter(near, far, clocks, {topic.way for topic in topics})
     if not overlap or not any(topic.matched for topic in topics):
         breaches.append(Breach("nothing_compared", "", 0))
     return AuditReport(
@@ -239,6 +254,18 @@ def _topic_breaches(topics: Iterable[AuditedTopic], paired: Paired, options: Aud
     for topic in (*paired.only_near, *paired.only_far):
         if is_named(topic.name):
             yield Breach("not_crossed", topic.name, topic.messages)
+
+
+def _shorter(near: ReadRecording, far: ReadRecording, clocks: Clocks, ways: Collection[Way]) -> Iterator[Breach]:
+    """Yield the side where messages should arrive, and do not for longer than a recorder may be late.
+
+    A bridge that has died leaves such a recording, if nobody else sends there.
+    """
+    begins, ends = (near.first, far.first - clocks.offset), (near.last, far.last - clocks.offset)
+    for way, side, sign in (("to_far", "far", 1), ("to_near", "near", -1)):
+        missing = max(sign * (begins[1] - begins[0]), sign * (ends[0] - ends[1]))
+        if missing > OPENING and way in ways:
+            yield Breach("shorter", side, round(missing / SECOND))
 
 
 def _other_breaches(calls: Iterable[AuditedCalls], goals: Iterable[AuditedGoals]) -> Iterator[Breach]:

@@ -1,8 +1,9 @@
 """Which message of one recording is which of the other, and what follows from it for a topic.
 
-Numbers of messages do not cross every bridge, so messages are matched by content. The newest of several equal messages
-that wait for their match is taken: whatever is lost, this needs no clock, and goes wrong only for as many messages as
-are in flight where a recording begins or ends.
+Numbers of messages do not cross every bridge, so messages are matched by content. Equal ones are matched in order if
+both sides have as many. Otherwise each that came takes the newest one that waits: so a loss, or a recording that begins
+earlier, moves no later match. This is wrong for as many messages at most as are in flight where a recording begins or
+ends.
 
 All times are in ns. *Common time* is that of NEAR's clock.
 """
@@ -31,7 +32,7 @@ OPENING = 10 * SECOND
 """ns from a topic's first message in which nothing has to cross yet. A round figure: discovery takes 1 to 3 s."""
 GAPS_KEPT = 100  # gaps of a topic on a side that are listed; the others are counted
 _PIECE = 200_000  # equal messages that are compared at once: some 40 MB
-_HELD = 20_000  # rows before they are written
+_HELD = 20_000  # rows before they are written: some 4 MB
 _TOLERANCE = 2_000_000
 """ns that clocks may be off, beside their uncertainty. A round figure, above the jitter of time synchronisation."""
 _FEWEST = 3  # intervals of which a usual one can be told
@@ -254,7 +255,7 @@ class Audit:
             result.lost = one(between, opened, settled)
             result.early = one(between, self.begin, opened - 1)
             result.undecided = one(between, max(settled + 1, opened), self.end)
-        # Equal messages from before one of the recordings begins look like doubled ones.
+        # Equal messages that were in flight when the sender's recording began look like doubled ones.
         result.doubled = one(
             "SELECT count(*) FROM surplus WHERE sent AND time <= ? AND time >= CASE alike WHEN 1 THEN ? ELSE ? END",
             self.end, self.begin + IN_FLIGHT, self.begin,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sqlite3
 import struct
 import sys
 import tracemalloc
@@ -21,8 +22,8 @@ from rosbags.typesys import Stores, get_typestore
 from tests.support.wording import says
 
 from rsb_extras.audit.audit_table import AuditText
-from rsb_extras.audit.recorded import RecordingText, insert, unpacked
-from rsb_extras.audit.tests.audit_places import CALLS_REMEMBERED, INSERTS, MATCHES_HELD, PIECE, ROWS_HELD
+from rsb_extras.audit.recorded import RecordingText, insert, new_database, unpacked
+from rsb_extras.audit.tests.audit_places import CALLS_REMEMBERED, INSERTS, MATCHES_HELD, NEW_DATABASE, PIECE, ROWS_HELD
 from rsb_extras.audit.tests.conftest import Audited, Sides
 from rsb_extras.audit.tests.written import START, Written, text
 from rsb_extras.audit.topic_pairs import PairText
@@ -320,6 +321,23 @@ def test_rows_are_not_held_in_memory(sides: Sides, monkeypatch: pytest.MonkeyPat
     assert [(found[name]["matched"], found[name]["lost"]) for name in (topic, other)] == [(999, 1), (999, 1)]
     assert (found[gone]["matched"], found[gone]["lost"]) == (1, 999)
     assert longest <= 100
+
+
+def test_full_disk_is_named(sides: Sides, monkeypatch: pytest.MonkeyPatch, ran: Any) -> None:
+    def small() -> sqlite3.Connection:
+        database = new_database()
+        database.execute("PRAGMA max_page_count = 20")
+        return database
+
+    NEW_DATABASE.set(monkeypatch, small)
+    topic = sides.topic("/scan")
+    for number in range(10_000):
+        for side in sides:
+            side.add(topic, number * 0.001, number)
+    for side in sides:
+        side.done()
+    done = ran("audit", str(sides.near.path), str(sides.far.path))
+    assert (done.code, says(done.err, RecordingText.NO_ROOM)) == (2, True)
 
 
 # --- calls and goals

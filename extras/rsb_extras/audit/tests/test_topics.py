@@ -196,6 +196,26 @@ def test_only_common_time_counts(sides: Sides, audited: Run) -> None:
     assert (found["/scan"]["lost"], found["/scan"]["undecided"]) == (1, 2)  # 150 is on its way at the end
 
 
+@pytest.mark.parametrize(("first", "last", "code"), [(2, 50, 0), (14, 50, 1), (2, 38, 1), (8, 44, 0)])
+def test_bridge_that_dies_leaves_a_shorter_recording(
+    first: int, last: int, code: int, sides: Sides, audited: Run
+) -> None:
+    """Nothing else is recorded on FAR, so that the end of its recording is unknown."""
+    topic = sides.topic("/scan")
+    for number in range(500):
+        at = 1 + number * 0.1
+        sides.near.add(topic, at, number)
+        if first <= at <= last:
+            sides.far.add(topic, at + 0.01, number)
+    found = audited()
+    assert (found.code, {kind for kind, _, _ in found.breaches}) == (code, {"shorter"} if code else set())
+    again = audited("--overlap", near=sides.near.path, far=sides.far.path)
+    assert (again.code, again["/scan"]["lost"]) == (0, 0)
+    # Messages that go back may end whenever they like.
+    assert audited("--back", "/scan", near=sides.far.path, far=sides.near.path).code == code
+    assert audited(near=sides.far.path, far=sides.near.path).code == 0
+
+
 def test_messages_before_the_first_that_crossed_are_early(sides: Sides, audited: Run) -> None:
     sides.spans(15)
     stream(sides, sides.topic("/scan"), lost=set(range(40)))
