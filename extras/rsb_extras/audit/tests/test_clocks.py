@@ -61,6 +61,11 @@ def test_latched_messages_tell_no_offset(ahead: float, sides: Sides, audited: Ru
     topic = sides.topic("/map", durability=LATCHED)
     sides.near.add(topic, 4.0, 1)
     sides.far.add(topic, 1.0, 1)
+    for side, name in zip(sides, ("/near_map", "/far_map"), strict=True):
+        for each in sides:
+            each.topic(name, durability=LATCHED if each is side else "volatile")
+        sides.near.add(name, 4.0, 1)
+        sides.far.add(name, 1.0, 1)
     found = audited()
     assert found.json["offset"] == pytest.approx(ahead + 0.020, abs=1e-5)
     assert (found["/map"]["latched_value"], found["/map"]["age_p50"], found.code) == ("same", None, 0)

@@ -215,6 +215,15 @@ def test_folder_of_rosbag2(sides: Sides, tmp_path: Path, audited: Run) -> None:
     assert (found["/scan"]["far"], found["/scan"]["matched"], found["/scan"]["disordered"]) == (99, 99, 0)
     assert found.json["only_far"] == ["/other"]
     assert found.breaches == {("lost", "/scan", 1)}
+    again = audited("--back", "/scan", near=sides.near.path, far=folder)
+    assert (again["/scan"]["matched"], again["/scan"]["disordered"]) == (99, 0)
+
+
+def test_times_that_no_clock_has(sides: Sides, audited: Run) -> None:
+    sides.spans(15)
+    sides.stream(sides.topic("/scan"))
+    sides.far.add(sides.far.topic("/odd"), 1.6e10, 1)  # 2^64 ns are 1.8e10 s
+    assert audited("--overlap")["/scan"]["matched"] == 100
 
 
 def test_recording_of_another_writer(sides: Sides, tmp_path: Path, ran: Any) -> None:

@@ -333,6 +333,22 @@ def test_silences_have_times_of_both_sides(sides: Sides, audited: Run) -> None:
     assert far[2][:2] == (pytest.approx(17.91, abs=0.02), pytest.approx(30.0, abs=1e-3))
 
 
+def test_nothing_outside_the_common_time_counts(sides: Sides, audited: Run) -> None:
+    """FAR's recording lasts from 5 s to 12 s: neither silences nor messages of NEAR before and after count."""
+    sides.near.spans(18)
+    topic = sides.topic("/scan")
+    for number in range(160):
+        at = number * 0.1
+        if not 1 < at < 4 and not 13 < at < 15:
+            sides.near.add(topic, at, number)
+        if 5 <= at <= 12:
+            sides.far.add(topic, at + 0.01, number)
+    scan = audited()["/scan"]
+    assert (scan["gaps"], scan["lost"], scan["elsewhere"]) == ({"near": [], "far": []}, 0, 0)
+    back = audited("--back", "/scan", near=sides.near.path, far=sides.far.path)["/scan"]
+    assert (back["lost"], back["elsewhere"]) == (0, 0)
+
+
 def test_slow_topics_have_no_silences(sides: Sides, audited: Run) -> None:
     sides.spans(30)
     topic = sides.topic("/battery")
