@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from rsb_extras.audit.comparing import AuditReport, Breach, RecordingFacts
-    from rsb_extras.audit.matching import AuditedTopic, SilentTime
+    from rsb_extras.audit.matching import AuditedTopic
 
 _HEADS = (
     "topic", "", "QoS", "near", "far", "lost", "double", "order", "early", "end", "other", "p50 ms", "p99 ms", "latched"
@@ -50,6 +50,7 @@ class AuditText(Wording):
     SILENCE = "{topic}: silent on {side} from {start} for {seconds:.1f} s; on {other_side} {other:,} {messages}"
     TO_END = "{topic}: silent on {side} from {start} on, {seconds:.1f} s; on {other_side} {other:,} {messages}"
     MORE_SILENCES = "{topic}: {count} more on {side}"
+    SENDER = "{topic}: its sender on {side} was silent {count} {times}, {seconds:.1f} s at most"
     CALLS = "{service} on {side}, by its {seen_by}: {asked:,} calls, {unanswered:,} unanswered for {seconds:g} s"
     GOALS = "{action}: {goals:,} goals, {unanswered:,} ended on one side only, {unfinished:,} not ended"
     FAILED = "MISSING  {name}: {what}"
@@ -139,25 +140,28 @@ def _notes(report: AuditReport) -> Iterator[str]:
 
 
 def _silences(report: AuditReport) -> Iterator[str]:
+    """Yield silences of the receiving side while the other one sent, and how often the sender itself was silent."""
     for topic in report.topics:
-        for side, gaps in topic.gaps.items():
-            for gap in gaps[:_SILENCES]:
-                yield _silence(topic, side, gap)
-            if more := len(gaps[_SILENCES:]) + topic.more_gaps[side]:
-                yield AuditText.MORE_SILENCES(topic=topic.topic, side=side.upper(), count=more)
-
-
-def _silence(topic: AuditedTopic, side: str, gap: SilentTime) -> str:
-    text = AuditText.TO_END if gap.open else AuditText.SILENCE
-    return text(
-        topic=topic.topic,
-        side=side.upper(),
-        start=f"{_moment(gap.start):%H:%M:%S.%f}"[:-3],
-        seconds=gap.end - gap.start,
-        other_side="FAR" if side == "near" else "NEAR",
-        other=gap.other,
-        messages=plural(gap.other, "message"),
-    )
+        sender, receiver = ("near", "far") if topic.way == "to_far" else ("far", "near")
+        own = [gap for gap in topic.gaps[receiver] if gap.other]
+        for gap in own[:_SILENCES]:
+            yield (AuditText.TO_END if gap.open else AuditText.SILENCE)(
+                topic=topic.topic,
+                side=receiver.upper(),
+                start=f"{_moment(gap.start):%H:%M:%S.%f}"[:-3],
+                seconds=gap.end - gap.start,
+                other_side=sender.upper(),
+                other=gap.other,
+                messages=plural(gap.other, "message"),
+            )
+        if more := len(own[_SILENCES:]) + topic.more_gaps[receiver]:
+            yield AuditText.MORE_SILENCES(topic=topic.topic, side=receiver.upper(), count=more)
+        if sent := topic.gaps[sender]:
+            count = len(sent) + topic.more_gaps[sender]
+            longest = max(gap.end - gap.start for gap in sent)
+            yield AuditText.SENDER(
+                topic=topic.topic, side=sender.upper(), count=count, times=plural(count, "time"), seconds=longest
+            )
 
 
 def _answers(report: AuditReport) -> Iterator[str]:

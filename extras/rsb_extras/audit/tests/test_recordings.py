@@ -416,3 +416,21 @@ def test_lines_for_people(sides: Sides, ran: Any) -> None:
     done = ran("audit", str(sides.near.path), str(sides.far.path))
     assert done.code == 1
     assert says(done.out, AuditText.FAILED, name="/scan")
+
+
+def test_lines_tell_the_bridge_from_the_sender(sides: Sides, ran: Any) -> None:
+    """Both were silent from 5 s to 8 s, the bridge alone from 12 s to 14 s."""
+    sides.spans(29.5)
+    topic = sides.topic("/scan")
+    for number in range(280):
+        at = 1 + number * 0.1
+        if not 5 < at < 8:
+            sides.near.add(topic, at, number)
+            if not 12 < at < 14:
+                sides.far.add(topic, at + 0.01, number)
+    for side in sides:
+        side.done()
+    lines = ran("audit", str(sides.near.path), str(sides.far.path)).out.splitlines()
+    assert [says(line, AuditText.SILENCE, other=19, side="FAR") for line in lines].count(True) == 1
+    assert [says(line, AuditText.SILENCE) for line in lines].count(True) == 1
+    assert [says(line, AuditText.SENDER, count=1, side="NEAR") for line in lines].count(True) == 1
