@@ -12,7 +12,7 @@ from rsb_console.command.shell import FAILURE, OK, print_line
 from rsb_console.command.target import UsageError
 from rsb_extras.audit.audit_table import lines_of
 from rsb_extras.audit.comparing import AuditOptions, compare
-from rsb_extras.audit.recorded import RecordingError, RecordingText
+from rsb_extras.audit.recorded import RecordingError, UnreadableRecording
 from rsb_extras.audit.topic_pairs import PairError
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ def audit(arguments: Namespace) -> int:
     except (RecordingError, PairError) as error:
         raise UsageError(str(error)) from None
     except sqlite3.OperationalError as error:
-        raise UsageError(RecordingText.NO_ROOM(reason=error)) from None
+        raise UsageError(UnreadableRecording.NO_ROOM(reason=error)) from None
     if arguments.json:
         print_line(json_line({"ok": not report.breaches, **msgspec.to_builtins(report)}))
     else:

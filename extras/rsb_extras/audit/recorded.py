@@ -41,7 +41,7 @@ _LATCHED: dict[object, bool] = {"transient_local": True, 1: True, "volatile": Fa
 """Policies by their names (rosbag2 since Jazzy) and numbers (before)."""
 
 
-class RecordingText(Wording):
+class UnreadableRecording(Wording):
     """Reasons why a recording cannot be read."""
 
     NOT_INSTALLED = "mcap is not installed: pip install 'rsb-console[record]'"
@@ -142,12 +142,12 @@ def read_recording(path: Path, side: str, database: sqlite3.Connection) -> ReadR
             with file.open("rb") as opened:
                 cut = _read(opened, file, rows)
         except OSError as error:
-            raise RecordingError(RecordingText.NOT_THERE(path=file, reason=error.strerror)) from None
+            raise RecordingError(UnreadableRecording.NOT_THERE(path=file, reason=error.strerror)) from None
         if cut:
             recording.cut = cut if file == path else f"{file.name}: {cut}"
     rows.write()
     if not recording.messages:
-        raise RecordingError(RecordingText.EMPTY(path=path, cut=recording.cut and f": {recording.cut}"))
+        raise RecordingError(UnreadableRecording.EMPTY(path=path, cut=recording.cut and f": {recording.cut}"))
     return recording
 
 
@@ -190,7 +190,7 @@ def _files_of(path: Path) -> list[Path]:
         return [path]
     files = sorted(path.glob("*.mcap"))
     if not files:
-        text = RecordingText.COMPRESSED if any(path.glob("*.mcap.zstd")) else RecordingText.NO_MCAP_WITHIN
+        text = UnreadableRecording.COMPRESSED if any(path.glob("*.mcap.zstd")) else UnreadableRecording.NO_MCAP_WITHIN
         raise RecordingError(text(path=path))
     return files
 
@@ -200,9 +200,9 @@ def _read(opened: IO[bytes], path: Path, rows: _Rows) -> str:
     try:
         import mcap.records  # noqa: F401, PLC0415 -- everything else does without
     except ImportError:
-        raise RecordingError(RecordingText.NOT_INSTALLED()) from None
+        raise RecordingError(UnreadableRecording.NOT_INSTALLED()) from None
     if opened.read(len(_MAGIC)) != _MAGIC:
-        raise RecordingError(RecordingText.NO_MCAP(path=path))
+        raise RecordingError(UnreadableRecording.NO_MCAP(path=path))
     rows.begin_file()
     try:
         for kind, record in _records(opened):

@@ -22,7 +22,7 @@ from rosbags.typesys import Stores, get_typestore
 from tests.support.wording import says
 
 from rsb_extras.audit.audit_table import AuditText
-from rsb_extras.audit.recorded import RecordingText, insert, new_database, unpacked
+from rsb_extras.audit.recorded import UnreadableRecording, insert, new_database, unpacked
 from rsb_extras.audit.tests.audit_places import CALLS_REMEMBERED, INSERTS, MATCHES_HELD, NEW_DATABASE, PIECE, ROWS_HELD
 from rsb_extras.audit.tests.conftest import Audited, Sides
 from rsb_extras.audit.tests.written import START, Written, text
@@ -251,10 +251,10 @@ def test_recording_of_another_writer(sides: Sides, tmp_path: Path, ran: Any) -> 
 @pytest.mark.parametrize(
     ("content", "problem"),
     [
-        (b"", RecordingText.NO_MCAP),
-        (b"SQLite format 3\0" * 8, RecordingText.NO_MCAP),
-        (b"\x89MCAP0\r\n", RecordingText.EMPTY),
-        (None, RecordingText.NOT_THERE),
+        (b"", UnreadableRecording.NO_MCAP),
+        (b"SQLite format 3\0" * 8, UnreadableRecording.NO_MCAP),
+        (b"\x89MCAP0\r\n", UnreadableRecording.EMPTY),
+        (None, UnreadableRecording.NOT_THERE),
     ],
 )
 def test_what_is_no_recording(content: bytes | None, problem: Any, sides: Sides, tmp_path: Path, ran: Any) -> None:
@@ -269,7 +269,7 @@ def test_what_is_no_recording(content: bytes | None, problem: Any, sides: Sides,
 
 @pytest.mark.parametrize(
     ("name", "problem"),
-    [("bag.db3", RecordingText.NO_MCAP_WITHIN), ("bag.mcap.zstd", RecordingText.COMPRESSED)],
+    [("bag.db3", UnreadableRecording.NO_MCAP_WITHIN), ("bag.mcap.zstd", UnreadableRecording.COMPRESSED)],
 )
 def test_folder_without_mcap(name: str, problem: Any, sides: Sides, tmp_path: Path, ran: Any) -> None:
     sides.spans(15)
@@ -287,7 +287,7 @@ def test_recording_without_messages(sides: Sides, ran: Any) -> None:
     empty = Written(sides.near.path.with_name("empty.mcap"))
     empty.done()
     done = ran("audit", str(sides.near.path), str(empty.path))
-    assert (done.code, says(done.err, RecordingText.EMPTY, path=empty.path)) == (2, True)
+    assert (done.code, says(done.err, UnreadableRecording.EMPTY, path=empty.path)) == (2, True)
 
 
 def test_missing_library_is_named(sides: Sides, monkeypatch: pytest.MonkeyPatch, ran: Any) -> None:
@@ -295,7 +295,7 @@ def test_missing_library_is_named(sides: Sides, monkeypatch: pytest.MonkeyPatch,
     sides.near.done()
     monkeypatch.setitem(sys.modules, "mcap.records", None)
     done = ran("audit", str(sides.near.path), str(sides.near.path))
-    assert (done.code, says(done.err, RecordingText.NOT_INSTALLED)) == (2, True)
+    assert (done.code, says(done.err, UnreadableRecording.NOT_INSTALLED)) == (2, True)
 
 
 # --- memory
@@ -346,7 +346,7 @@ def test_full_disk_is_named(sides: Sides, monkeypatch: pytest.MonkeyPatch, ran: 
     for side in sides:
         side.done()
     done = ran("audit", str(sides.near.path), str(sides.far.path))
-    assert (done.code, says(done.err, RecordingText.NO_ROOM)) == (2, True)
+    assert (done.code, says(done.err, UnreadableRecording.NO_ROOM)) == (2, True)
 
 
 # --- calls and goals
