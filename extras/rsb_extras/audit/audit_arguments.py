@@ -39,8 +39,9 @@ def add_audit_command(command: AddCommand, complete: Complete) -> None:
     parser.add_argument("--topic", type=pattern, action="append", default=[], metavar="PATTERN", help=only)
     names = "these topics belong together; more than once, too. Default: the same name, or one with a prefix"
     parser.add_argument("--pair", type=names_of_pair, action="append", default=[], metavar="NEAR=FAR", help=names)
-    back = "these topics go from FAR to NEAR; a name or a pattern, more than once, too"
-    parser.add_argument("--back", type=pattern, action="append", default=[], metavar="PATTERN", help=back)
+    for name, ends in (("back", "FAR to NEAR"), ("forth", "NEAR to FAR")):
+        which = f"these topics go from {ends}; more than once, too. Default: found from the messages"
+        parser.add_argument(f"--{name}", type=pattern, action="append", default=[], metavar="PATTERN", help=which)
     ahead = "FAR's clock is ahead by so much; default: found from the messages"
     parser.add_argument("--offset", type=offset, metavar="SECONDS", help=ahead)
     silence = "list silences that are longer, of topics that are usually not (%(default)g)"

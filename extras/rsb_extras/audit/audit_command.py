@@ -21,7 +21,13 @@ if TYPE_CHECKING:
 
 def audit(arguments: Namespace) -> int:
     options = AuditOptions(
-        arguments.topic, arguments.pair, arguments.back, arguments.offset, arguments.gap, arguments.overlap
+        arguments.topic,
+        arguments.pair,
+        arguments.back,
+        arguments.forth,
+        arguments.offset,
+        arguments.gap,
+        arguments.overlap,
     )
     try:
         report = compare(arguments.near, arguments.far, options)

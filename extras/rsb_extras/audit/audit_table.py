@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 from rsb_bridge.model.text import join_first, plural
 from rsb_bridge.model.wording import Wording
 from rsb_console.notation.formats import milliseconds, span
-from rsb_extras.audit.matching import IN_FLIGHT, OPENING, SECOND
+from rsb_extras.audit.directions import SECOND
+from rsb_extras.audit.matching import IN_FLIGHT, OPENING
 from rsb_extras.audit.unanswered import CALL_TIME
 
 if TYPE_CHECKING:
@@ -41,9 +42,10 @@ class AuditText(Wording):
     NO_OVERLAP = "The recordings have no time in common: nothing can be judged."
     EARLY = "early: before the first message of a topic that crossed, within {opening:g} s."
     AT_END = "end: in the last {seconds:g} s, perhaps on its way."
-    OTHER = "other: only on the receiving side. If a topic goes from FAR to NEAR, give --back TOPIC."
+    OTHER = "other: only on the receiving side."
     BY_ORDER = "{topic}: {count:,} of {all:,} messages equal others; which of them crossed is told by their order"
     NOT_JUDGED = "not judged, as the sides have no message in common (not bridged, or changed on the way): {topics}"
+    ASSUMED = "from NEAR to FAR, as nothing says otherwise (--back): {topics}"
     UNKNOWN_QOS = "{topic}: the recording does not say what QoS its publishers offer; what is lost is no failure"
     SEVERAL = "{topic}: several publishers, which the recording does not tell apart; their order is not judged"
     ONLY = "only in {side}: {topics}"
@@ -127,6 +129,8 @@ def _notes(report: AuditReport) -> Iterator[str]:
     judged = [topic for topic in report.topics if not topic.nothing_common]
     if others := [topic.topic for topic in report.topics if topic.nothing_common]:
         yield AuditText.NOT_JUDGED(topics=join_first(others, _NAMED))
+    if assumed := [topic.topic for topic in judged if topic.way_by == "assumed"]:
+        yield AuditText.ASSUMED(topics=join_first(assumed, _NAMED))
     for topic in judged:
         if topic.by_order:
             yield AuditText.BY_ORDER(topic=topic.topic, count=topic.by_order, all=topic.matched)

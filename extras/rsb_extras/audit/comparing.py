@@ -7,28 +7,18 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from rsb_extras.audit.matching import (
-    IN_FLIGHT,
-    OPENING,
-    SECOND,
-    Audit,
-    AuditedTopic,
-    Clocks,
-    OffsetBy,
-    clocks_of,
-    spread_of,
-)
+from rsb_extras.audit.directions import SECOND, OffsetBy, directions
+from rsb_extras.audit.matching import IN_FLIGHT, OPENING, Audit, AuditedTopic
 from rsb_extras.audit.recorded import new_database, read_recording
 from rsb_extras.audit.topic_pairs import PairError, PairText, pair_topics
 from rsb_extras.audit.unanswered import CALL_TIME, GOAL_STATUS
 
 if TYPE_CHECKING:
-    import sqlite3
     from collections.abc import Collection, Iterable, Iterator, Sequence
     from pathlib import Path
 
     from rsb_bridge.model.patterns import Pattern
-    from rsb_extras.audit.matching import Spread, Way
+    from rsb_extras.audit.directions import Clocks, Way
     from rsb_extras.audit.recorded import ReadRecording, TopicRows
     from rsb_extras.audit.topic_pairs import Paired, TopicPair
     from rsb_extras.audit.unanswered import SeenGoals
@@ -42,6 +32,7 @@ class AuditOptions:
         topics: those that count and have to cross; without any, all count.
         pairs: names of topics that belong together.
         back: topics that go from FAR to NEAR.
+        forth: topics that go from NEAR to FAR.
         offset: s that FAR's clock is ahead, or None to find out.
         gap: s.
         overlap: whether one recording may be shorter.
@@ -50,6 +41,7 @@ class AuditOptions:
     topics: Sequence[Pattern] = ()
     pairs: Sequence[tuple[str, str]] = ()
     back: Sequence[Pattern] = ()
+    forth: Sequence[Pattern] = ()
     offset: float | None = None
     gap: float = 1.0
     overlap: bool = False
@@ -138,7 +130,10 @@ def compare(near_path: Path, far_path: Path, options: AuditOptions) -> AuditRepo
         paired = pair_topics(near, far, options.pairs, options.topics)
         for pattern in options.topics:
             _check_named(pattern, paired)
-        ways, clocks = _ways_and_clocks(database, paired.pairs, options)
+        told = None if options.offset is None else round(options.offset * SECOND)
+        ways, clocks = directions(
+            database, near, far, paired.pairs, back=options.back, forth=options.forth, offset=told
+        )
         audit = Audit(database, near, far, clocks, options.gap)
         topics = [audit.compare(pair, way) for pair, way in zip(paired.pairs, ways, strict=True)]
     finally:
@@ -172,32 +167,6 @@ def _check_named(pattern: Pattern, paired: Paired) -> None:
     alone = (topic.name for topic in (*paired.only_near, *paired.only_far))
     if not any(pattern.match(name) is not None for name in (*names, *alone)):
         raise PairError(PairText.NO_TOPIC(pattern=pattern.text))
-
-
-def _ways_and_clocks(
-    database: sqlite3.Connection, pairs: Sequence[TopicPair], options: AuditOptions
-) -> tuple[list[Way], Clocks]:
-    """Return which way each topic goes, and how the clocks compare."""
-    spreads = [spread_of(database, pair) for pair in pairs]
-    if options.offset is not None:
-        clocks = Clocks(round(options.offset * SECOND), "option")
-        return [_way(pair, options.back, spread, clocks) for pair, spread in zip(pairs, spreads, strict=True)], clocks
-    ways = [_way(pair, options.back) for pair in pairs]
-    # A latched message has the time when a recorder came as a late joiner.
-    latched = [pair.near.offer.latched is True or pair.far.offer.latched is True for pair in pairs]
-    known = [each for each, skip in zip(zip(ways, spreads, strict=True), latched, strict=True) if each[1] and not skip]
-    by_way: dict[Way, list[Spread]] = {"to_far": [], "to_near": []}
-    for way, spread in known or zip(ways, spreads, strict=True):
-        if spread is not None:
-            by_way[way].append(spread)
-    return ways, clocks_of(by_way["to_far"], by_way["to_near"])
-
-
-def _way(pair: TopicPair, back: Iterable[Pattern], spread: Spread | None = None, clocks: Clocks | None = None) -> Way:
-    if any(pattern.match(name) is not None for pattern in back for name in (pair.near.name, pair.far.name)):
-        return "to_near"
-    # With clocks that are known, a topic whose messages are on FAR first comes from there.
-    return "to_near" if clocks is not None and spread is not None and spread.mean < clocks.offset else "to_far"
 
 
 def _calls(recording: ReadRecording, side: str) -> Iterator[AuditedCalls]:

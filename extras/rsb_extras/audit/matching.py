@@ -12,20 +12,21 @@ from __future__ import annotations
 
 from itertools import chain, groupby, islice
 from operator import itemgetter
-from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import msgspec
 
-from rsb_extras.audit.recorded import insert
+from rsb_extras.audit.directions import SECOND, Way, WayBy
+from rsb_extras.audit.recorded import insert, view
 
 if TYPE_CHECKING:
     import sqlite3
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Iterator
 
-    from rsb_extras.audit.recorded import ReadRecording, TopicRows
+    from rsb_extras.audit.directions import Clocks, Direction
+    from rsb_extras.audit.recorded import ReadRecording
     from rsb_extras.audit.topic_pairs import TopicPair
 
-SECOND = 1_000_000_000
 IN_FLIGHT = SECOND
 """ns before the end in which a message may still be on its way, beside the p99 of its topic's ages. A round figure."""
 OPENING = 10 * SECOND
@@ -40,26 +41,9 @@ _TABLES = {"pair": "sender, source, sink, alike", "missing": "time", "surplus": 
 """Tables of one topic's matches, in common time: messages that crossed, those that did not come, and those that came
 without one that was sent."""
 
-OffsetBy = Literal["option", "two_ways", "least_age", "assumed"]
 LatchedValue = Literal["same", "old", "absent", "undecided"]
-Way = Literal["to_far", "to_near"]
 _Row: TypeAlias = tuple[int, int, int, int, int]
 """Key, time in common time, sender, whether it is of the receiving side, and its place among equal ones."""
-
-
-class Clocks(NamedTuple):
-    """How the clocks of two recordings compare.
-
-    Attributes:
-        offset: ns that FAR's clock is ahead.
-        by: what says so: the user; messages both ways; the least age of messages one way, which then counts as 0; or
-            nothing.
-        uncertainty: ns, or None if unknown.
-    """
-
-    offset: int
-    by: OffsetBy
-    uncertainty: int | None = None
 
 
 class SilentTime(msgspec.Struct, frozen=True):
@@ -95,6 +79,7 @@ class AuditedTopic(msgspec.Struct):
     type: str
     paired_by: str
     way: Way
+    way_by: WayBy
     reliable: bool | None
     latched: bool | None
     near: int
@@ -125,50 +110,6 @@ class AuditedTopic(msgspec.Struct):
             yield "latched", 1
 
 
-# --- clocks
-
-
-class Spread(NamedTuple):
-    """Differences of a topic's times, far minus near, of messages that are there once on each side."""
-
-    least: int
-    mean: float
-    most: int
-
-
-def spread_of(database: sqlite3.Connection, pair: TopicPair) -> Spread | None:
-    """Return the differences of a topic's times, or None if no message is there once on each side."""
-    _view(database, near=(pair.near, 0), far=(pair.far, 0))
-    count, *found = database.execute(
-        "SELECT count(*), min(far.time - near.time), avg(far.time - near.time), max(far.time - near.time)"
-        " FROM (SELECT key, min(time) AS time FROM near GROUP BY key HAVING count(*) = 1) AS near"
-        " JOIN (SELECT key, min(time) AS time FROM far GROUP BY key HAVING count(*) = 1) AS far USING (key)"
-    ).fetchone()
-    return Spread(*found) if count else None
-
-
-def _view(database: sqlite3.Connection, **views: tuple[TopicRows, int]) -> None:
-    """Give tables of topics, with an offset of their times, the names that the queries have."""
-    for name, (topic, offset) in views.items():
-        database.execute(f"DROP VIEW IF EXISTS {name}")
-        rows = f"SELECT key, time - {offset} AS time, sender FROM {topic.table}"  # noqa: S608 -- names of our own
-        database.execute(f"CREATE TEMP VIEW {name} AS {rows}")
-
-
-def clocks_of(to_far: Sequence[Spread], to_near: Sequence[Spread]) -> Clocks:
-    """Find how the clocks compare: no message comes before it was sent, and the fastest ones take as long both ways."""
-    least = min((each.least for each in to_far), default=None)
-    most = max((each.most for each in to_near), default=None)
-    if least is not None and most is not None:
-        return Clocks((least + most) // 2, "two_ways", abs(least - most) // 2)
-    if least is not None or most is not None:
-        return Clocks(most if least is None else least, "least_age")  # type: ignore[arg-type]
-    return Clocks(0, "assumed")
-
-
-# --- one topic
-
-
 class Audit:
     """Compares topics of two recordings, one after the other.
 
@@ -189,13 +130,13 @@ class Audit:
         for table, columns in _TABLES.items():
             database.execute(f"CREATE TABLE {table} ({columns})")
 
-    def compare(self, pair: TopicPair, way: Way) -> AuditedTopic:
+    def compare(self, pair: TopicPair, direction: Direction) -> AuditedTopic:
         """Return what the recordings say of a topic whose messages go to one side."""
         near, far = ((topic, self._offset[side]) for topic, side in ((pair.near, "near"), (pair.far, "far")))
-        (source, _), (sink, _) = sent, came = (near, far) if way == "to_far" else (far, near)
-        _view(self._database, near=near, far=far, source=sent, sink=came)
+        (source, _), (sink, _) = sent, came = (near, far) if direction.way == "to_far" else (far, near)
+        view(self._database, near=near, far=far, source=sent, sink=came)
         result = AuditedTopic(
-            pair.near.name, pair.far.name, pair.near.type_name, pair.by, way, source.offer.reliable,
+            pair.near.name, pair.far.name, pair.near.type_name, pair.by, *direction, source.offer.reliable,
             source.offer.latched, pair.near.messages, pair.far.messages,
         )  # fmt: skip
         self._match(result)
@@ -245,6 +186,8 @@ class Audit:
             (p50,), (p99,) = ages[0], ages[-1]
             result.age_p50, result.age_p99 = p50 / SECOND, p99 / SECOND
             settled -= max(p99, 0)
+        # What was sent a second before something that has come should have come, too, however late others were.
+        settled = max(settled, (one("SELECT max(source) FROM pair") or 0) - IN_FLIGHT)
         # Before the first message crosses, a bridge or a recorder may not have found the topic yet. Of a topic that
         # has nothing on the receiving side, all are lost.
         first = one("SELECT min(source) FROM pair")

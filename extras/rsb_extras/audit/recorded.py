@@ -355,6 +355,14 @@ class _Rows:
         self._count = 0
 
 
+def view(database: sqlite3.Connection, **views: tuple[TopicRows, int]) -> None:
+    """Give tables of topics, with an offset of their times, the names that queries have."""
+    for name, (topic, offset) in views.items():
+        database.execute(f"DROP VIEW IF EXISTS {name}")
+        rows = f"SELECT key, time - {offset} AS time, sender FROM {topic.table}"  # noqa: S608 -- names of our own
+        database.execute(f"CREATE TEMP VIEW {name} AS {rows}")
+
+
 def insert(database: sqlite3.Connection, table: str, rows: list[Any]) -> None:
     """Write rows to a table, and empty their list."""
     if rows:

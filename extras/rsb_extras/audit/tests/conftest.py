@@ -26,15 +26,22 @@ class Sides(NamedTuple):
         return name
 
     def stream(
-        self, near: str, far: str = "", *, age: float = 0.02, lost: Collection[int] = (), back: bool = False
+        self,
+        near: str,
+        far: str = "",
+        *,
+        age: float = 0.02,
+        tail: float = 0.0,
+        lost: Collection[int] = (),
+        back: bool = False,
     ) -> None:
-        """Send a message each 0.1 s, from 2 s to 12 s, from NEAR to FAR or `back`."""
+        """Send a message each 0.1 s, from 2 s to 12 s, from NEAR to FAR or `back`. Each tenth is later by `tail` s."""
         source, sink = ((self.near, near), (self.far, far or near))[:: -1 if back else 1]
         for number in range(100):
             at = 2 + number * 0.1
             source[0].add(source[1], at, number)
             if number not in lost:
-                sink[0].add(sink[1], at + age + number % 10 * 0.001, number)
+                sink[0].add(sink[1], at + age + number % 10 * 0.001 + (tail if number % 10 == 9 else 0.0), number)
 
     def spans(self, end: float) -> None:
         for side in self:

@@ -32,6 +32,27 @@ def test_messages_both_ways_tell_the_offset(ahead: float, sides: Sides, audited:
     assert found["/scan"]["age_p99"] == pytest.approx(0.034, abs=1e-5)
 
 
+@pytest.mark.parametrize("by", ["delays", "alone"])
+def test_messages_tell_their_way(by: str, ahead: float, sides: Sides, audited: Run) -> None:
+    sides.spans(15)
+    lost = {20, 50} if by == "alone" else set[int]()
+    tail = 0.3 if by == "delays" else 0.0
+    sides.stream(sides.topic("/scan"), lost=lost, tail=tail)
+    sides.stream(sides.topic("/cmd_vel"), back=True, lost=lost, tail=tail)
+    sides.stream(sides.topic("/odom"))
+    found = audited()
+    ways = {topic: (found[topic]["way"], found[topic]["way_by"]) for topic in ("/scan", "/cmd_vel", "/odom")}
+    assert ways == {"/scan": ("to_far", by), "/cmd_vel": ("to_near", by), "/odom": ("to_far", "clocks")}
+    assert found.json["offset"] == pytest.approx(ahead, abs=1e-5)
+
+
+def test_way_is_said_to_be_assumed(sides: Sides, audited: Run) -> None:
+    sides.spans(15)
+    sides.stream(sides.topic("/scan"))
+    found = audited()
+    assert (found["/scan"]["way"], found["/scan"]["way_by"]) == ("to_far", "assumed")
+
+
 def test_one_way_tells_ages_above_the_least(ahead: float, sides: Sides, audited: Run) -> None:
     sides.spans(15)
     sides.stream(sides.topic("/scan"))

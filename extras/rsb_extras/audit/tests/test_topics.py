@@ -231,6 +231,19 @@ def test_late_bridge_loses_what_is_not_early(sides: Sides, audited: Run) -> None
     assert (found["/scan"]["early"], found["/scan"]["lost"], found.code) == (200, 100, 1)
 
 
+def test_losses_before_a_late_message_are_decided(sides: Sides, audited: Run) -> None:
+    """The link is away from 10 s to 20 s, and half of what waited for it comes then."""
+    sides.spans(31)
+    topic = sides.topic("/scan")
+    for number in range(300):
+        at = 1 + number * 0.1
+        sides.near.add(topic, at, number)
+        if not 10 <= at < 15:
+            sides.far.add(topic, max(at, 20 if 15 <= at < 20 else 0) + 0.02, number)
+    found = audited()
+    assert (found["/scan"]["lost"], found["/scan"]["undecided"]) == (50, 0)
+
+
 def test_topic_without_any_message_is_lost(sides: Sides, audited: Run) -> None:
     sides.spans(15)
     stream(sides, sides.topic("/odom"))
@@ -246,7 +259,7 @@ def test_messages_from_elsewhere_are_counted_apart(sides: Sides, audited: Run) -
     stream(sides, sides.topic("/tf"))
     for number in range(30):
         sides.far.add("/tf", 3 + number * 0.1, 10_000 + number)
-    found = audited()
+    found = audited("--forth", "/tf")
     assert (found["/tf"]["elsewhere"], found["/tf"]["doubled"], found.code) == (30, 0, 0)
 
 
