@@ -37,6 +37,7 @@ LIMITS: SessionKey[BenchmarkLimits | None] = SessionKey("bench", BenchmarkLimits
 
 class BenchFeature(Feature):
     name = "bench"
+    needs = ("recording",)
 
     def session_keys(self) -> Iterable[SessionKey[Any]]:
         return (LIMITS,)

@@ -28,17 +28,18 @@ from rsb_console.command.shell import (
     OK,
     TERMINATED,
     USAGE,
-    CommandText,
     print_error,
     print_line,
     print_lines,
 )
 from rsb_console.command.target import UsageError, attached, check_link, failed
 from rsb_console.simulated.processes import ProcessError
+from rsb_extras.bench.bench_recording import BenchRecording
 from rsb_extras.bench.loopback import TRANSPORTS, Loopback, machine, ros_problem
 from rsb_extras.bench.presentation import USUAL, as_svg, in_terminal, in_words, judge, lines_of
 from rsb_extras.bench.results import BenchError, BenchReport, as_json
 from rsb_extras.bench.suite import FULL, QUICK, OverLink, Plan, Suite, loads_of, loads_of_all, ways_of
+from rsb_extras.recording.mcap_file import McapText
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -47,7 +48,6 @@ if TYPE_CHECKING:
 
     from rsb_bridge.control.remote_engine import RemoteEngine
     from rsb_bridge.model.snapshot import LinkSnapshot, Snapshot
-    from rsb_extras.bench.bench_recording import BenchRecording
     from rsb_extras.bench.results import BenchPlace, Load
 
 _ERASE = "\r\x1b[K"
@@ -151,8 +151,8 @@ def _on_this_machine(arguments: Namespace) -> int:
             raise BenchError(f"{name}: {lack}")
     if arguments.direction != "transmit":
         return failed(arguments, "on one machine both directions are the same: leave --direction out", USAGE)
-    if arguments.record is not None and (lack := _lack_to_record()):
-        raise BenchError(lack)
+    if arguments.record is not None and find_spec("mcap") is None:
+        raise BenchError(McapText.NOT_INSTALLED())
     loads = _loads_of_running_bridges()
     report = BenchReport("This machine, two bridges over loopback", machine())
     with _recording(arguments.record, report) as recording:
@@ -167,21 +167,12 @@ def _lack(transport: str) -> str:
     return named(transport).missing() if transport in get_args(Protocol) else "its feature is not installed"
 
 
-def _lack_to_record() -> str:
-    """Return what this installation lacks for recordings, or an empty string."""
-    if find_spec("rsb_extras.recording") is None:
-        return CommandText.OF_FEATURE(word="--record", feature="recording")
-    return "" if find_spec("mcap") else "mcap is not installed: pip install 'rsb-console[record]'"
-
-
 @contextlib.contextmanager
 def _recording(path: Path | None, report: BenchReport) -> Iterator[BenchRecording | None]:
     """What records the report's runs, or None without a path."""
     if path is None:
         yield None
         return
-    from rsb_extras.bench.bench_recording import BenchRecording  # noqa: PLC0415 -- of a feature that may not be there
-
     with tempfile.TemporaryDirectory(prefix="rsb-bench-") as folder:
         yield BenchRecording(*_recordings(path), Path(folder), report, time.time_ns() - time.monotonic_ns())
 
