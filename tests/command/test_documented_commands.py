@@ -235,7 +235,8 @@ def prepare(line: str) -> None:
     if line.startswith("audit"):
         from rsb_extras.audit.tests.written import write_sides
 
-        write_sides("near", "far", ("/scan", "/robots/r1/scan", "/camera/image", "/cmd_vel"))
+        near, far = line.split()[1:3]
+        write_sides(near, far, ("/scan", "/robots/r1/scan", "/camera/image", "/cmd_vel"))
 
 
 def run(line: str) -> int:

@@ -57,7 +57,9 @@ def runs_of(report: BenchReport) -> dict[str, Run]:
 
 
 @pytest.mark.parametrize("transport", ["tcp", "udp", "zenoh"])
-def test_recordings_agree_with_report(transport: str, tmp_path: Path, spare_domains: int) -> None:
+def test_recordings_agree_with_report_and_audit(
+    transport: str, tmp_path: Path, spare_domains: int, capsys: pytest.CaptureFixture[str]
+) -> None:
     if transport == "zenoh":
         pytest.importorskip("zenoh", reason="needs Zenoh")
     domains = f"{spare_domains},{spare_domains + 1}"
@@ -70,6 +72,7 @@ def test_recordings_agree_with_report(transport: str, tmp_path: Path, spare_doma
     runs = runs_of(report)
     assert near.keys() == runs.keys()
     assert f"/bench/{transport}/bytes_2500/latency_100_hz" in runs
+    ages = {}
     for topic, run in runs.items():
         sent, heard = near[topic], far[topic]
         assert (len(sent), len(heard)) == (run.sent, run.received)
@@ -81,6 +84,16 @@ def test_recordings_agree_with_report(transport: str, tmp_path: Path, spare_doma
         assert all(contents[each.content] == each.published for each in heard)
         latencies = sorted(each.logged - each.published for each in heard)
         assert latencies[len(latencies) // 2] / 1e6 == pytest.approx(run.p50)
+        ages[topic] = latencies[(len(latencies) - 1) // 2] / 1e9
+    audited = json.loads(Ran(capsys, "audit", *report.recordings, "--offset", "0", "--json").out)
+    assert {each["topic"]: pytest.approx(each["age_p50"]) for each in audited["topics"]} == ages
+    for each in audited["topics"]:
+        run = runs[each["topic"]]
+        assert each["matched"] == run.received
+        assert each["lost"] + each["early"] + each["undecided"] == run.sent - run.received
+        assert (each["doubled"], each["disordered"], each["way"], each["reliable"]) == (0, 0, "to_far", True)
+    kinds = {each["kind"] for each in audited["breaches"]}
+    assert kinds == ({"lost"} if any(each["lost"] for each in audited["topics"]) else set())
 
 
 class RecordedLink(SimulatedLink):
