@@ -1,6 +1,6 @@
 """domain_bridge and rosbridge of a sourced ROS installation, for comparison (`.github/workflows/peers.yml`).
 
-- ``python -m bench.installed_bridges domain_bridge NEAR FAR TOPIC`` becomes the first: one process in both domains.
+- ``python -m bench.installed_bridges domain_bridge CONFIG`` becomes the first: one process in both domains.
 - ``rosbridge NEAR PORT`` becomes the second: a websocket at a port of this machine, for clients that are no ROS nodes.
 - ``client FAR PORT TOPIC`` is such a client, which publishes what it gets in another domain. It says when it listens.
 """
@@ -34,7 +34,6 @@ _PROGRAMS = {
 }
 """Below an installation's ``lib``; and the package's name without its distribution."""
 _TYPE = "std_msgs/msg/String"
-_LARGEST = 10_000_000  # bytes of a message of a websocket, which takes 10 MiB as it comes
 
 
 def program(name: str) -> str:
@@ -52,7 +51,10 @@ def between(name: str, near: int, far: int, topic: str) -> Iterator[list[Process
     program(name)
     with ExitStack() as started:
         if name == DOMAIN_BRIDGE:
-            yield [started.enter_context(_process("domain_bridge", near, far, topic))]
+            config = Path(started.enter_context(tempfile.TemporaryDirectory(prefix="rsb-bench-")), "bridge.yaml")
+            topics = f"topics:\n  {topic}: {{type: {_TYPE}}}\n"
+            config.write_text(f"name: bench\nfrom_domain: {near}\nto_domain: {far}\n{topics}")
+            yield [started.enter_context(_process("domain_bridge", config))]
             return
         port = free_port()
         server = started.enter_context(_process("rosbridge", near, port))
@@ -66,13 +68,9 @@ def _process(*arguments: object) -> Process:
     return Process("-m", "bench.installed_bridges", *map(str, arguments))
 
 
-def domain_bridge(near: str, far: str, topic: str) -> None:
-    with tempfile.NamedTemporaryFile(
-        "w", suffix=".yaml", delete=False
-    ) as file:  # it is read after this process is gone
-        file.write(f"name: bench\nfrom_domain: {near}\nto_domain: {far}\ntopics:\n  {topic}: {{type: {_TYPE}}}\n")
+def domain_bridge(config: str) -> None:
     path = program(DOMAIN_BRIDGE)
-    os.execv(path, [path, file.name])
+    os.execv(path, [path, config])
 
 
 def rosbridge(near: str, port: str) -> None:
@@ -87,7 +85,7 @@ def client(far: str, port: str, topic: str) -> None:
     publisher = node_in(int(far)).create_publisher(String, topic, QoSProfile(depth=DEPTH))
 
     async def republish() -> None:
-        socket = await websocket_connect(f"ws://127.0.0.1:{port}", max_message_size=_LARGEST)
+        socket = await websocket_connect(f"ws://127.0.0.1:{port}")
         subscribes = {"op": "subscribe", "topic": topic, "type": _TYPE, "queue_length": DEPTH}
         await socket.write_message(json.dumps(subscribes))
         print("listens", flush=True)

@@ -8,9 +8,9 @@ and find each other by address.
 A message counts if it was published from 1 s before the fault until all topics have been steady for 5 s, at least 8 s
 after the fault's end. ``a; b`` are the figures to the server's side and to the robot's. *Silence* is the longest
 time without a message of a reliable topic of 10 Hz, and *back* the time from the end of the cause to the end of that
-silence. *Latched*: messages that never came, and messages that came again to who had them. *Events* are publishers
-that came or went in the listeners' domains: of all topics of a rate, and of the latched topics, where each change
-brings one; and how often the service came or went in its caller's.
+silence. *Latched*: messages that never came, and messages that came again to a node that had them. *Events* are
+publishers that came or went in the listeners' domains: of all topics of a rate, and of the latched topics, where each
+change brings one; and how often the service came or went in its caller's.
 *Calls*: answered of asked; of those under way when the fault began; carried out twice. The second table compares our
 bridge's account with these counts.
 
@@ -129,6 +129,8 @@ def main() -> None:
     parser.add_argument("--record", type=Path, metavar="FOLDER", help="write both recordings of each run there")
     options = parser.parse_args()
     transports = ["tcp"] if options.quick else _known(options.transports, _TRANSPORTS)
+    if options.record and options.record.exists():
+        raise SystemExit(f"--record {options.record}: it is there already; choose another folder")
     if zenoh_bridge.NAME in transports:
         zenoh_bridge.check_built()
     faults = ["cut-1", "reset"] if options.quick else _known(options.faults, FAULTS)

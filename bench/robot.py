@@ -3,11 +3,11 @@
 A robot with nav2 and an operator's PC have network namespaces of their own. Between them is a Wi-Fi of 20
 Mbit/s that delays by 20 ± 15 ms, loses 2 % of the packets and all for 3 s of every 30 s, or a tunnel of 5 kB/s that
 keeps 4.4 MB (`wifi.c`). Plain nodes publish on the robot and listen on the PC, and a bridge is between them: ours over
-``tcp``, ``udp`` or ``zenoh``, or ``zenoh-bridge``, which is zenoh-bridge-ros2dds. In the column ``dds`` no bridge is,
-and the nodes find each other by address. In the column ``bare`` are two processes that do no more than pass each topic
-on over a TCP connection. A cell has
-the latencies' p50 and p99 in ms and the part of the messages that arrived. Messages of a gap, and of the 3 s after it,
-count as arrived or lost only. Of calls, it is the time until the answer and the part that was answered.
+``tcp``, ``udp`` or ``zenoh``, or ``zenoh-bridge``, which is zenoh-bridge-ros2dds. The column ``dds`` has no bridge: the
+nodes find each other by address. The column ``bare`` has two processes that only pass each topic on over a TCP
+connection. A cell has the latencies' p50 and p99 in ms and the part of the messages that arrived. Messages of a gap,
+and of the 3 s after it, count as arrived or lost only. Of calls, it is the time until the answer and the part that was
+answered.
 
 A column names what differs from how a bridge comes: ``tcp+equal`` is without the topics' priorities,
 ``zenoh-bridge+bbr+priorities+tls`` with BBR, those priorities and TLS. Where no congestion control of TCP is named,
@@ -21,6 +21,7 @@ from __future__ import annotations
 import argparse
 import base64
 import json
+import math
 import os
 import re
 import shutil
@@ -93,7 +94,7 @@ class Column(NamedTuple):
             raise SystemExit(f"--columns {text}: there are {', '.join(_WAYS)}")
         allowed = (*_WAYS[way], *(_CONGESTION_CONTROLS if way != "dds" else ()))
         if unknown := [each for each in options if each not in allowed]:
-            raise SystemExit(f"--columns {text}: {way} has no {unknown[0]}, but {', '.join(allowed)}")
+            raise SystemExit(f"--columns {text}: {way} has no {unknown[0]}, but {', '.join(allowed) or 'no option'}")
         if way == zenoh_bridge.NAME:
             zenoh_bridge.check_built()
         return cls(way, tuple(options))
@@ -147,8 +148,8 @@ class Run:
     def as_json(self) -> dict[str, Any]:
         cells = {row: self.cell(row) for row in self.made}
         rows = {
-            # JSON has no NaN.
-            row: {"p50": p50, "p99": p99, "part": part} if part else {"p50": None, "p99": None, "part": 0.0}
+            # JSON has no NaN: nothing arrived outside of the gaps.
+            row: {"p50": None if math.isnan(p50) else p50, "p99": None if math.isnan(p99) else p99, "part": part}
             for row, (p50, p99, part) in cells.items()
         }
         return {"rows": rows, "bytes": self.bytes, "cpu": self.cpu, "lost": self.lost}
@@ -163,6 +164,8 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="write the figures of all runs to this file")
     options = parser.parse_args()
     columns = [Column.of(each) for each in options.columns.split(",")]
+    if unknown := [each for each in options.links.split(",") if each not in LINKS]:
+        raise SystemExit(f"--links {unknown[0]}: there are {', '.join(LINKS)}")
     found: dict[str, dict[str, list[Any]]] = {}
     with tempfile.TemporaryDirectory(prefix="rsb-robot-") as name:
         folder = Path(name)
@@ -198,8 +201,9 @@ class _Child:
     def __init__(self, host: Host, *command: str, peer: str = "", log: Path | None = None) -> None:
         output = log.open("w") if log else subprocess.PIPE
         # Hosts have a network of their own, so that what DDS sends to a peer, it sends there only.
-        finds = {"ROS_STATIC_PEERS": peer, "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"} if peer else {}
-        variables = {**os.environ, **dict.fromkeys(PROFILE_VARIABLES, str(_PROFILE)), **finds}
+        finds = {"ROS_STATIC_PEERS": peer, "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}
+        near = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+        variables = {**os.environ, **dict.fromkeys(PROFILE_VARIABLES, str(_PROFILE)), **(finds if peer else near)}
         self.process = host.start(
             sys.executable, *command, stdin=subprocess.PIPE, stdout=output, stderr=output, env=variables
         )
@@ -348,8 +352,8 @@ def _start_zenoh_bridge(
         priorities = ((each.name, _ZENOH_PRIORITIES.get(each.priority)) for each in link.topics)
         keys["plugins/ros2dds/pub_priorities"] = [f"{name}={priority}" for name, priority in priorities if priority]
     return [
-        child(host, *zenoh_bridge.arguments(domain, part, endpoint, keys))
-        for host, domain, part in ((pc, FAR, "listen"), (robot, NEAR, "connect"))
+        child(host, *zenoh_bridge.arguments(domain, part, endpoint, keys), log=folder / f"{name}.log")
+        for host, domain, part, name in ((pc, FAR, "listen", "server"), (robot, NEAR, "connect", "robot"))
     ]
 
 

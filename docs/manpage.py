@@ -73,7 +73,7 @@ def _arguments(parser: argparse.ArgumentParser, leave_out: tuple[str, ...] = ())
             continue
         yield ".TP"
         yield _named(action)
-        yield _text(str(action.help or "").replace("%(default)s", str(action.default)))
+        yield _text(str(action.help or "") % {"default": action.default})
 
 
 def _named(action: argparse.Action) -> str:

@@ -40,6 +40,7 @@ def test_every_command_and_option_is_in_it() -> None:
     everything = set(said(parser_and_commands()[0], "rsb-console"))
     assert len(everything) > 80
     assert [each for each in everything if each not in text] == []
+    assert "%(" not in text
 
 
 def test_every_command_takes_what_the_page_says() -> None:

@@ -49,12 +49,12 @@ _KEYS: dict[str, dict[str, Any]] = {
     "kept": {"qos": 10, "keep": 60},
     "deep": {"qos": 1000},
 }
-"""Of the entry in the session, by kind; of the others it is `qos: auto`."""
+"""Keys of the session's entry, by the flow's kind; other kinds have `qos: auto`."""
 STEADY_BEFORE = 3.0
 """s of steady traffic before a fault."""
 _READY_WITHIN = 60.0
 _STEADY, _FRESH = 5.0, 1.0
-"""Traffic is steady once the newest message of each topic has been younger than the second for the first, in s."""
+"""Traffic is steady once, for `_STEADY` s, the newest message of each topic was younger than `_FRESH` s."""
 _WATCHED_AFTER, _WATCHED_AFTER_KILL = 8.0, 24.0
 """s after a fault's end in which its effects may still come: a link without a byte is given up after 5 s, and DDS knows
 after 20 s that a killed process has gone. A link moves back to a better way after 10 s."""
@@ -289,7 +289,7 @@ class OutageBed:
             _READY_WITHIN,
             "every node has found the others",
         )
-        if self._other is None:  # which may bring no service of Fast DDS
+        if self._other is None:  # zenoh-bridge-ros2dds may not bring a service of Fast DDS
             eventually(lambda: self._caller.tell("served"), _READY_WITHIN, "the caller has found the service")
         programs = self.programs
         for side, flows in (("server", up), ("client", down)):
@@ -339,7 +339,11 @@ class OutageBed:
         for each in self._talkers:
             record.made |= each.tell("made")
         for recorder in self._recorders:
-            recorder.communicate(timeout=_ACCOUNT_WITHIN)
+            try:
+                recorder.communicate(timeout=_ACCOUNT_WITHIN)
+            except subprocess.TimeoutExpired:
+                raise AssertionError("a recorder does not end") from None
+            assert recorder.returncode == 0, "a recorder has failed"
         if self.programs:
             record.accounts = self._accounts()
         for each in self._listeners:

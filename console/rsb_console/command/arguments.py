@@ -72,11 +72,14 @@ def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
         )
         added.set_defaults(command=run)
         if after:
-            _place_after(subparsers, after)
+            places[name] = after
         return added
+
+    places: dict[str, str] = {}
 
     for add in (*_OF_CORE, *(feature.subcommands for feature in installed()), add_completion):
         add(command, _complete)
+    _place(subparsers, places)
     for feature in installed():
         feature.options(subparsers.choices, _complete)
     # A session file may take a command's place: `rsb-console SESSION` runs it.
@@ -86,15 +89,17 @@ def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
     return parser, list(subparsers.choices)
 
 
-def _place_after(subparsers: argparse._SubParsersAction[CommandParser], name: str) -> None:
-    """Move the command that was added last behind the one of this name."""
-    known = list(subparsers.choices.items())
-    if name in subparsers.choices:
-        place = list(subparsers.choices).index(name) + 1
-        known.insert(place, known.pop())
-        subparsers._choices_actions.insert(place, subparsers._choices_actions.pop())
-        subparsers._name_parser_map.clear()
-        subparsers._name_parser_map.update(known)
+def _place(subparsers: argparse._SubParsersAction[CommandParser], places: dict[str, str]) -> None:
+    """Move commands behind others, by name; one whose place has to move itself, after that."""
+    while places:
+        name = next((each for each, place in places.items() if place not in places), next(iter(places)))
+        place, names = places.pop(name), list(subparsers.choices)
+        if place in names:
+            names.remove(name)
+            names.insert(names.index(place) + 1, name)
+            subparsers._choices_actions.sort(key=lambda action: names.index(action.dest))
+            for each in names:  # a dict keeps the order in which its keys came
+                subparsers._name_parser_map[each] = subparsers._name_parser_map.pop(each)
 
 
 def _add_debug(parser: argparse.ArgumentParser) -> None:

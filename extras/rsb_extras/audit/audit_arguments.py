@@ -25,8 +25,9 @@ for example:
 
 exit codes:
   0  all that QoS promises has crossed, as far as the recordings show
-  1  something is missing, doubled, out of order or without an answer; or a recording
-     where messages should arrive is more than 10 s shorter
+  1  something is lost, doubled, reordered, old, unanswered or has not crossed; where
+     messages should arrive, nothing is recorded for over 10 s at an end; or the
+     recordings have nothing in common
   2  the recordings cannot be compared: wrong usage, or a file that cannot be read"""
 
 
@@ -35,16 +36,16 @@ def add_audit_command(command: AddCommand, complete: Complete) -> None:
     parser = command("audit", run, "compare a recording of each side of a bridge", _AUDIT, after="record")
     for side, which in (("near", "the recording where messages come from"), ("far", "the one where they arrive")):
         complete(parser.add_argument(side, type=Path, metavar=side.upper(), help=which), "files")
-    only = "only these topics, which then have to cross; a name or a pattern, more than once, too"
+    only = "judge only these topics, which have to cross; may be repeated"
     parser.add_argument("--topic", type=pattern, action="append", default=[], metavar="PATTERN", help=only)
-    names = "these topics belong together; more than once, too. Default: the same name, or one with a prefix"
+    names = "topics that belong together; may be repeated. Default: the same name, or one with a prefix"
     parser.add_argument("--pair", type=names_of_pair, action="append", default=[], metavar="NEAR=FAR", help=names)
     for name, ends in (("back", "FAR to NEAR"), ("forth", "NEAR to FAR")):
-        which = f"these topics go from {ends}; more than once, too. Default: found from the messages"
+        which = f"topics that go from {ends}; may be repeated. Default: found from the messages"
         parser.add_argument(f"--{name}", type=pattern, action="append", default=[], metavar="PATTERN", help=which)
     ahead = "FAR's clock is ahead by so much; default: found from the messages"
     parser.add_argument("--offset", type=offset, metavar="SECONDS", help=ahead)
-    silence = "list silences that are longer, of topics that are usually not (%(default)g)"
+    silence = "list silences longer than this, of topics that usually have none (%(default)g)"
     parser.add_argument("--gap", type=seconds, default=1.0, metavar="SECONDS", help=silence)
     shorter = "one recording may be shorter: judge only the time of both"
     parser.add_argument("--overlap", action="store_true", help=shorter)
@@ -55,7 +56,7 @@ def pattern(text: str) -> Pattern:
     """Parse a topic's name or a pattern of names.
 
     Raises:
-        argparse.ArgumentTypeError: it is none.
+        argparse.ArgumentTypeError: it is neither a name nor a pattern.
     """
     if not is_valid(text):
         raise argparse.ArgumentTypeError(f"{text!r} is neither a topic's name (/scan) nor a pattern (/camera/**)")
@@ -66,7 +67,7 @@ def names_of_pair(text: str) -> tuple[str, str]:
     """Parse names of topics that belong together: ``/scan=/robot1/scan``.
 
     Raises:
-        argparse.ArgumentTypeError: they are none.
+        argparse.ArgumentTypeError: they are not two topics' names.
     """
     near, _, far = text.partition("=")
     if not (is_topic_name(near) and is_topic_name(far)):
@@ -75,10 +76,10 @@ def names_of_pair(text: str) -> tuple[str, str]:
 
 
 def offset(text: str) -> float:
-    """Parse a difference of clocks (s).
+    """Parse a difference of clocks.
 
     Raises:
-        argparse.ArgumentTypeError: it is none, or more than clocks differ.
+        argparse.ArgumentTypeError: it is not a number of seconds up to 4e9.
     """
     try:
         parsed = float(text)

@@ -8,18 +8,19 @@ from typing import TYPE_CHECKING
 from rsb_bridge.model.text import join_first, plural
 from rsb_bridge.model.wording import Wording
 from rsb_console.notation.formats import milliseconds, span
+from rsb_extras.audit.audited_topic import OPENING
 from rsb_extras.audit.directions import SECOND
-from rsb_extras.audit.matching import IN_FLIGHT, OPENING
 from rsb_extras.audit.unanswered import CALL_TIME
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from rsb_extras.audit.audited_topic import AuditedTopic
     from rsb_extras.audit.comparing import AuditReport, Breach, RecordingFacts
-    from rsb_extras.audit.matching import AuditedTopic
 
 _HEADS = (
-    "topic", "", "QoS", "near", "far", "lost", "double", "order", "early", "end", "other", "p50 ms", "p99 ms", "latched"
+    "topic", "", "QoS", "near", "far", "lost", "doubled", "disordered", "early", "undecided", "elsewhere", "p50 ms",
+    "p99 ms", "latched",
 )  # fmt: skip
 _WAYS = {"to_far": "->", "to_near": "<-"}
 _NONE = "-"
@@ -34,15 +35,15 @@ _OFFSETS = {
 
 
 class AuditText(Wording):
-    """What an operator reads of two recordings."""
+    """Texts of the audit's report."""
 
     RECORDING = "{side:<4}  {path}: {messages:,} messages of {topics} topics, {seconds:.1f} s from {start}"
     CUT = "{side:<4}  {path}: {reason}; read as far as it goes"
     CLOCKS = "Both cover {overlap:.1f} s. FAR's clock is {offset} {direction}: {by}."
     NO_OVERLAP = "The recordings have no time in common: nothing can be judged."
-    EARLY = "early: before the first message of a topic that crossed, within {opening:g} s."
-    AT_END = "end: in the last {seconds:g} s, perhaps on its way."
-    OTHER = "other: only on the receiving side."
+    EARLY = "early: before the topic's first message that crossed, in its first {opening:g} s."
+    UNDECIDED = "undecided: sent so late that it may have been on its way when a recording ended."
+    ELSEWHERE = "elsewhere: only on the receiving side."
     BY_ORDER = "{topic}: {count:,} of {all:,} messages equal others; which of them crossed is told by their order"
     NOT_JUDGED = "not judged, as the sides have no message in common (not bridged, or changed on the way): {topics}"
     ASSUMED = "from NEAR to FAR, as nothing says otherwise (--back): {topics}"
@@ -51,13 +52,13 @@ class AuditText(Wording):
     ONLY = "only in {side}: {topics}"
     SILENCE = "{topic}: silent on {side} from {start} for {seconds:.1f} s; on {other_side} {other:,} {messages}"
     TO_END = "{topic}: silent on {side} from {start} on, {seconds:.1f} s; on {other_side} {other:,} {messages}"
-    MORE_SILENCES = "{topic}: {count} more on {side}"
-    SENDER = "{topic}: its sender on {side} was silent {count} {times}, {seconds:.1f} s at most"
+    MORE_SILENCES = "{topic}: {count} more silences on {side}; some may be its sender's"
+    SENDER = "{topic}: its sender on {side} was silent {count} {times}, {which}for {seconds:.1f} s at most"
     CALLS = "{service} on {side}, by its {seen_by}: {asked:,} calls, {unanswered:,} unanswered for {seconds:g} s"
     GOALS = "{action}: {goals:,} goals, {unanswered:,} ended on one side only, {unfinished:,} not ended"
     FAILED = "MISSING  {name}: {what}"
     NOTHING = "MISSING  the recordings have nothing in common: are they of the same time? Do names differ (--pair)?"
-    SHORTER = "MISSING  {side} begins or ends with {seconds} s of nothing; if its recorder did not run, give --overlap"
+    SHORTER = "MISSING  {side}: nothing recorded for {seconds} s at its begin or end (--overlap allows it)"
     PASSED = "All that QoS promises has crossed, as far as the recordings show; {judged} of {all} topics were judged."
 
 
@@ -76,9 +77,9 @@ def lines_of(report: AuditReport) -> Iterator[str]:
         if any(each.early for each in report.topics):
             yield AuditText.EARLY(opening=OPENING / SECOND)
         if any(each.undecided for each in report.topics):
-            yield AuditText.AT_END(seconds=IN_FLIGHT / SECOND)
+            yield AuditText.UNDECIDED()
         if any(each.elsewhere for each in report.topics):
-            yield AuditText.OTHER()
+            yield AuditText.ELSEWHERE()
     for more in (_notes, _silences, _answers, _verdict):
         lines = list(more(report))
         if lines:
@@ -145,7 +146,7 @@ def _notes(report: AuditReport) -> Iterator[str]:
 
 def _silences(report: AuditReport) -> Iterator[str]:
     """Yield silences of the receiving side while the other one sent, and how often the sender itself was silent."""
-    for topic in report.topics:
+    for topic in (each for each in report.topics if not each.nothing_common):
         sender, receiver = ("near", "far") if topic.way == "to_far" else ("far", "near")
         own = [gap for gap in topic.gaps[receiver] if gap.other]
         for gap in own[:_SILENCES]:
@@ -164,7 +165,12 @@ def _silences(report: AuditReport) -> Iterator[str]:
             count = len(sent) + topic.more_gaps[sender]
             longest = max(gap.end - gap.start for gap in sent)
             yield AuditText.SENDER(
-                topic=topic.topic, side=sender.upper(), count=count, times=plural(count, "time"), seconds=longest
+                topic=topic.topic,
+                side=sender.upper(),
+                count=count,
+                times=plural(count, "time"),
+                seconds=longest,
+                which=f"the first {len(sent)} " if count > len(sent) else "",
             )
 
 
@@ -191,22 +197,21 @@ def _verdict(report: AuditReport) -> Iterator[str]:
         elif breach.kind == "shorter":
             yield AuditText.SHORTER(side=breach.name.upper(), seconds=breach.count)
         else:
-            yield AuditText.FAILED(name=breach.name, what=_what(breach, report))
+            yield AuditText.FAILED(name=breach.name, what=_what(breach))
     if not report.breaches:
         judged = sum(not topic.nothing_common for topic in report.topics)
         everything = len(report.topics) + len(report.only_near) + len(report.only_far)
         yield AuditText.PASSED(judged=judged, all=everything)
 
 
-def _what(breach: Breach, report: AuditReport) -> str:
+def _what(breach: Breach) -> str:
     count, messages = f"{breach.count:,}", plural(breach.count, "message")
-    if breach.kind == "latched":
-        value = next(topic.latched_value for topic in report.topics if topic.topic == breach.name)
-        return "the latched message at the end is " + ("an old one" if value == "old" else "not there")
     return {
         "lost": f"{count} {messages} lost",
         "doubled": f"{count} {messages} more than were sent",
         "disordered": f"{count} {messages} after a later one",
+        "latched_old": "the latched message at the end is an old one",
+        "latched_absent": "the latched message at the end is not there",
         "not_crossed": f"none of {count} {messages} has crossed",
         "call": f"{count} {plural(breach.count, 'call')} without an answer",
         "goal": f"{count} {plural(breach.count, 'goal')} ended on one side only",

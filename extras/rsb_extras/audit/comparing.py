@@ -1,4 +1,4 @@
-"""Two recordings compared: their clocks, each topic, calls and goals, and what of it QoS does not allow."""
+"""The comparison of two recordings: clocks, topics, calls and goals, and their breaches."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
+from rsb_extras.audit.audited_topic import IN_FLIGHT, OPENING, Audit, AuditedTopic
 from rsb_extras.audit.directions import SECOND, OffsetBy, directions
-from rsb_extras.audit.matching import IN_FLIGHT, OPENING, Audit, AuditedTopic
 from rsb_extras.audit.recorded import new_database, read_recording
 from rsb_extras.audit.topic_pairs import PairError, PairText, pair_topics
 from rsb_extras.audit.unanswered import CALL_TIME, GOAL_STATUS
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class AuditOptions:
-    """What the user says of two recordings.
+    """The options of an audit.
 
     Attributes:
         topics: those that count and have to cross; without any, all count.
@@ -79,12 +79,12 @@ class AuditedGoals(msgspec.Struct, frozen=True):
 
 
 class Breach(msgspec.Struct, frozen=True):
-    """What QoS promises, or the user named, and the recordings do not show.
+    """A promise of QoS, or a topic that the user named, that the recordings do not show.
 
     Attributes:
-        kind: ``lost``, ``doubled``, ``disordered``, ``latched``, ``not_crossed``, ``call``, ``goal``; ``shorter`` if a
-            side, where messages arrive, has none for so many seconds at its begin or end; or ``nothing_compared`` if
-            the recordings have no message or no time in common.
+        kind: ``lost``, ``doubled``, ``disordered``, ``latched_old``, ``latched_absent``, ``not_crossed``, ``call``,
+            ``goal``; ``shorter`` if a side where messages arrive has none for `count` seconds at its begin or end; or
+            ``nothing_compared`` if the recordings have no message or no time in common.
         name: of the topic, service, action or side.
     """
 
@@ -138,12 +138,12 @@ def compare(near_path: Path, far_path: Path, options: AuditOptions) -> AuditRepo
         topics = [audit.compare(pair, way) for pair, way in zip(paired.pairs, ways, strict=True)]
     finally:
         database.close()
-    calls = [*_calls(near, "near"), *_calls(far, "far")]
-    goals = list(_goals(near, far, paired.pairs))
+    calls = [*_calls(near, "near", options.topics), *_calls(far, "far", options.topics)]
+    goals = list(_goals(near, far, paired.pairs, (audit.begin, audit.end - IN_FLIGHT), clocks.offset))
     overlap = max(audit.end - audit.begin, 0) / SECOND
     breaches = [*_topic_breaches(topics, paired, options), *_other_breaches(calls, goals)]
     if not options.overlap:
-        breaches += _shorter(near, far, clocks, {topic.way for topic in topics})
+        breaches += _shorter(near, far, clocks, {topic.way for topic in topics if not topic.nothing_common})
     if not overlap or not any(topic.matched for topic in topics):
         breaches.append(Breach("nothing_compared", "", 0))
     return AuditReport(
@@ -169,15 +169,20 @@ def _check_named(pattern: Pattern, paired: Paired) -> None:
         raise PairError(PairText.NO_TOPIC(pattern=pattern.text))
 
 
-def _calls(recording: ReadRecording, side: str) -> Iterator[AuditedCalls]:
+def _calls(recording: ReadRecording, side: str, patterns: Sequence[Pattern]) -> Iterator[AuditedCalls]:
     for service, calls in sorted(recording.calls.items()):
+        if patterns and not any(pattern.match(service) is not None for pattern in patterns):
+            continue
         unanswered = calls.unanswered(recording.last - CALL_TIME)
         for seen_by, asked in calls.asked.items():
             if asked:
                 yield AuditedCalls(service, side, seen_by, asked, unanswered[seen_by])
 
 
-def _goals(near: ReadRecording, far: ReadRecording, pairs: Sequence[TopicPair]) -> Iterator[AuditedGoals]:
+def _goals(
+    near: ReadRecording, far: ReadRecording, pairs: Sequence[TopicPair], common: tuple[int, int], offset: int
+) -> Iterator[AuditedGoals]:
+    begin, end = common
     for pair in pairs:
         here, there = near.goals.get(_action(pair.near)), far.goals.get(_action(pair.far))
         if here is not None and there is not None:
@@ -186,7 +191,7 @@ def _goals(near: ReadRecording, far: ReadRecording, pairs: Sequence[TopicPair]) 
                 _action(pair.near),
                 _action(pair.far),
                 len(both),
-                _ended_only(here, there, near.last) + _ended_only(there, here, far.last),
+                _ended_only(here, there, begin, end) + _ended_only(there, here, begin + offset, end + offset),
                 sum(not (here.has_ended(goal) or there.has_ended(goal)) for goal in both),
             )
 
@@ -195,9 +200,9 @@ def _action(topic: TopicRows) -> str:
     return topic.name.removesuffix(GOAL_STATUS)
 
 
-def _ended_only(here: SeenGoals, there: SeenGoals, last: int) -> int:
-    """Count goals that have ended in one recording, in time before its `last` message, and not in the other one."""
-    ended = (goal for goal, (has_ended, time) in here.goals.items() if has_ended and time <= last - IN_FLIGHT)
+def _ended_only(here: SeenGoals, there: SeenGoals, begin: int, end: int) -> int:
+    """Count goals that ended in one recording between two moments on its clock, and never in the other one."""
+    ended = (goal for goal, (has_ended, time) in here.goals.items() if has_ended and begin <= time <= end)
     return sum(not there.has_ended(goal) for goal in ended)
 
 

@@ -1,4 +1,4 @@
-"""Which way the messages of each topic go, and how the clocks of two recordings compare. Times are in ns.
+"""The way of each topic's messages, and the difference of two recordings' clocks. Times are in ns.
 
 A recording does not say which of its topics a bridge has published. But only the sending side can have a message that
 the other one lacks, and delays have a long end on the side of the late ones.
@@ -26,7 +26,7 @@ _CLEARLY = 3  # times as many, or as long. A round figure
 
 Way = Literal["to_far", "to_near"]
 WayBy = Literal["option", "delays", "alone", "clocks", "assumed"]
-"""What says which way a topic goes: the user; delays, whose late end is long; messages that only the sending side has;
+"""Sources of a topic's way: the user; delays, whose late end is long; messages that only the sending side has;
 clocks that other topics tell, or the user; or nothing."""
 OffsetBy = Literal["option", "two_ways", "least_age", "assumed"]
 
@@ -56,7 +56,7 @@ class _Differences:
     """FAR's times less NEAR's of a topic's messages that are there once on each side.
 
     Attributes:
-        low, high: percentiles 1 and 99. A recorder that is late for once says nothing of a clock.
+        low, mid, high: percentiles 1, 50 and 99. A recorder that is late for once says nothing of a clock.
     """
 
     count: int
@@ -91,9 +91,13 @@ def directions(
         _by_option(pair, back, forth) or _by_delays(each) or _by_alone(database, pair, rough, covered)
         for pair, each in zip(pairs, differences, strict=True)
     ]
-    clocks = Clocks(offset, "option") if offset is not None else _clocks(told, differences)
+
+    def compared(ways: Sequence[Direction | None]) -> Clocks:
+        return Clocks(offset, "option") if offset is not None else _clocks(ways, differences)
+
+    clocks = compared(told)
     ways = [way or _by_clocks(each, clocks) for way, each in zip(told, differences, strict=True)]
-    return ways, clocks if offset is not None else _clocks(ways, differences)
+    return ways, compared(ways)
 
 
 def _by_option(pair: TopicPair, back: Iterable[Pattern], forth: Iterable[Pattern]) -> Direction | None:
@@ -115,10 +119,13 @@ def _by_delays(differences: _Differences | None) -> Direction | None:
 
 def _by_alone(database: sqlite3.Connection, pair: TopicPair, offset: int, covered: tuple[int, int]) -> Direction | None:
     view(database, near=(pair.near, 0), far=(pair.far, offset))
+    # A recorder may find this topic later than others.
+    found = "SELECT max(first) FROM (SELECT min(time) AS first FROM near UNION ALL SELECT min(time) FROM far)"
+    begin = max(covered[0], (database.execute(found).fetchone()[0] or 0) + SECOND)
     near, far = database.execute(
         "SELECT (SELECT count(*) FROM near WHERE time BETWEEN ?1 AND ?2 AND key NOT IN (SELECT key FROM far)),"
         " (SELECT count(*) FROM far WHERE time BETWEEN ?1 AND ?2 AND key NOT IN (SELECT key FROM near))",
-        covered,
+        (begin, covered[1]),
     ).fetchone()
     if near > _CLEARLY * far:
         return Direction("to_far", "alone")

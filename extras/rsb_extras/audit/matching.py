@@ -1,281 +1,55 @@
-"""Which message of one recording is which of the other, and what follows from it for a topic.
+"""Matches of messages between two recordings.
 
 Numbers of messages do not cross every bridge, so messages are matched by content. Equal ones are matched in order if
 both sides have as many. Otherwise each that came takes the newest one that waits: so a loss, or a recording that begins
 earlier, moves no later match. This is wrong for as many messages at most as are in flight where a recording begins or
 ends.
 
-All times are in ns. *Common time* is that of NEAR's clock.
+All times are in ns, in *common time*: that of NEAR's clock.
 """
 
 from __future__ import annotations
 
 from itertools import chain, groupby, islice
 from operator import itemgetter
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
-import msgspec
-
-from rsb_extras.audit.directions import SECOND, Way, WayBy
-from rsb_extras.audit.recorded import insert, view
+from rsb_extras.audit.recorded import ROWS_HELD, insert
 
 if TYPE_CHECKING:
     import sqlite3
     from collections.abc import Iterable, Iterator
 
-    from rsb_extras.audit.directions import Clocks, Direction
-    from rsb_extras.audit.recorded import ReadRecording
-    from rsb_extras.audit.topic_pairs import TopicPair
-
-IN_FLIGHT = SECOND
-"""ns before the end in which a message may still be on its way, beside the p99 of its topic's ages. A round figure."""
-OPENING = 10 * SECOND
-"""ns from a topic's first message in which nothing has to cross yet. A round figure: discovery takes 1 to 3 s."""
-GAPS_KEPT = 100  # gaps of a topic on a side that are listed; the others are counted
 _PIECE = 200_000  # equal messages that are compared at once: some 40 MB
-_HELD = 20_000  # rows before they are written: some 4 MB
-_TOLERANCE = 2_000_000
-"""ns that clocks may be off, beside their uncertainty. A round figure, above the jitter of time synchronisation."""
-_FEWEST = 3  # intervals of which a usual one can be told
 _TABLES = {"pair": "sender, source, sink, alike", "missing": "time", "surplus": "time, sent, alike"}
-"""Tables of one topic's matches, in common time: messages that crossed, those that did not come, and those that came
-without one that was sent."""
-
-LatchedValue = Literal["same", "old", "absent", "undecided"]
+"""Tables of one topic's matches: messages that crossed, those that did not come, and those that came without one that
+was sent."""
 _Row: TypeAlias = tuple[int, int, int, int, int]
-"""Key, time in common time, sender, whether it is of the receiving side, and its place among equal ones."""
+"""Key, time, sender, whether it is of the receiving side, and its place among equal ones."""
 
 
-class SilentTime(msgspec.Struct, frozen=True):
-    """A silence of a topic that usually is not silent for so long.
+def match_messages(database: sqlite3.Connection, tolerance: int) -> tuple[int, int]:
+    """Match the messages of the views `source` and `sink`, and fill the tables `pair`, `missing` and `surplus`.
 
-    Attributes:
-        start, end: s since the epoch on the clock of its side.
-        other: messages on the other side meanwhile, one that belongs to its end left out.
-        open: it lasts until the recording's end.
+    Args:
+        tolerance: ns by which a message may come before it was sent, by the two clocks.
+
+    Returns:
+        How many have a match, and how many of these are equal to others, so that their order decided.
     """
-
-    start: float
-    end: float
-    other: int
-    open: bool = False
-
-
-class AuditedTopic(msgspec.Struct):
-    """What two recordings say of one topic. Ages are in s.
-
-    Attributes:
-        by_order: messages that are equal to others, so that their order decided.
-        early: messages from before the first that crossed, for `OPENING` at most.
-        undecided: messages that may have been on their way at the end.
-        elsewhere: messages that only the receiving side has.
-        latched_value: of a latched topic, or None.
-        gaps, more_gaps: by side, `near` and `far`: the first ones, and how many more there are.
-        nothing_common: both sides have messages, and none is the same.
-    """
-
-    topic: str
-    far_topic: str
-    type: str
-    paired_by: str
-    way: Way
-    way_by: WayBy
-    reliable: bool | None
-    latched: bool | None
-    near: int
-    far: int
-    matched: int = 0
-    by_order: int = 0
-    lost: int = 0
-    doubled: int = 0
-    disordered: int | None = 0
-    early: int = 0
-    undecided: int = 0
-    elsewhere: int = 0
-    age_p50: float | None = None
-    age_p99: float | None = None
-    latched_value: LatchedValue | None = None
-    nothing_common: bool = False
-    gaps: dict[str, list[SilentTime]] = msgspec.field(default_factory=lambda: {"near": [], "far": []})
-    more_gaps: dict[str, int] = msgspec.field(default_factory=lambda: {"near": 0, "far": 0})
-
-    def breaches(self) -> Iterator[tuple[str, int]]:
-        """Yield what QoS promises and did not happen, and how often."""
-        if self.nothing_common:
-            return
-        if self.reliable:
-            counts = {"lost": self.lost, "doubled": self.doubled, "disordered": self.disordered or 0}
-            yield from ((kind, count) for kind, count in counts.items() if count)
-        if self.latched_value in ("old", "absent"):
-            yield "latched", 1
-
-
-class Audit:
-    """Compares topics of two recordings, one after the other.
-
-    Attributes:
-        begin, end: the time that both recordings cover, in common time.
-    """
-
-    def __init__(
-        self, database: sqlite3.Connection, near: ReadRecording, far: ReadRecording, clocks: Clocks, gap: float
-    ) -> None:
-        self._database = database
-        self._offset = {"near": 0, "far": clocks.offset}
-        self._ends = {"near": near.last, "far": far.last - clocks.offset}
-        self.begin = max(near.first, far.first - clocks.offset)
-        self.end = min(self._ends.values())
-        self._tolerance = _TOLERANCE + (clocks.uncertainty or 0)
-        self._gap = round(gap * SECOND)
-        for table, columns in _TABLES.items():
-            database.execute(f"CREATE TABLE {table} ({columns})")
-
-    def compare(self, pair: TopicPair, direction: Direction) -> AuditedTopic:
-        """Return what the recordings say of a topic whose messages go to one side."""
-        near, far = ((topic, self._offset[side]) for topic, side in ((pair.near, "near"), (pair.far, "far")))
-        (source, _), (sink, _) = sent, came = (near, far) if direction.way == "to_far" else (far, near)
-        view(self._database, near=near, far=far, source=sent, sink=came)
-        result = AuditedTopic(
-            pair.near.name, pair.far.name, pair.near.type_name, pair.by, *direction, source.offer.reliable,
-            source.offer.latched, pair.near.messages, pair.far.messages,
-        )  # fmt: skip
-        self._match(result)
-        result.nothing_common = bool(source.messages and sink.messages and not result.matched)
-        self._count(result)
-        if result.latched:
-            one_value = source.one_publisher_each and len(source.senders) == 1
-            result.latched_value = self._latched_value(one_value=one_value)
-        result.disordered = self._disordered() if source.one_publisher_each else None
-        self._find_gaps(result)
-        return result
-
-    def _match(self, result: AuditedTopic) -> None:
-        """Fill the tables of matches."""
-        for table in _TABLES:
-            self._database.execute(f"DELETE FROM {table}")  # noqa: S608 -- names of our own
-        # The order of equal messages allows for an error of the clocks' offset: none comes before it was sent.
-        rows = self._database.execute(
-            "SELECT key, time, sender, 0 AS came, time AS place FROM source"
-            " UNION ALL SELECT key, time, sender, 1, time + ? FROM sink ORDER BY key, place, came",
-            (self._tolerance,),
-        )
-        matches = _Matches(self._database)
-        for _, equal in groupby(rows, key=itemgetter(0)):
-            matches.add(equal)
-        matches.write()
-        result.matched, result.by_order = matches.matched, matches.by_order
-
-    def _count(self, result: AuditedTopic) -> None:
-        """Take numbers and ages from the tables of matches."""
-        one = self._one
-        if result.latched:
-            # What a recorder got as a late joiner, and when, is no age of the bridge's.
-            late = one("SELECT max(min(source), min(sink)) FROM pair") or 0
-            after = late + SECOND
-        else:
-            after = -1 << 62
-        alike = not one("SELECT count(*) FROM pair WHERE NOT alike")
-        count = one("SELECT count(*) FROM pair WHERE alike = ? AND source > ?", alike, after)
-        settled = self.end - IN_FLIGHT
-        if count:
-            ages = self._database.execute(
-                "SELECT age FROM (SELECT sink - source AS age, row_number() OVER (ORDER BY sink - source) AS rank"
-                " FROM pair WHERE alike = ? AND source > ?) WHERE rank IN (?, ?) ORDER BY 1",
-                (alike, after, *(1 + (count - 1) * share // 100 for share in (50, 99))),
-            ).fetchall()
-            (p50,), (p99,) = ages[0], ages[-1]
-            result.age_p50, result.age_p99 = p50 / SECOND, p99 / SECOND
-            settled -= max(p99, 0)
-        # What was sent a second before something that has come should have come, too, however late others were.
-        settled = max(settled, (one("SELECT max(source) FROM pair") or 0) - IN_FLIGHT)
-        # Before the first message crosses, a bridge or a recorder may not have found the topic yet. Of a topic that
-        # has nothing on the receiving side, all are lost.
-        first = one("SELECT min(source) FROM pair")
-        begin = max(self.begin, one("SELECT min(time) FROM source") or 0)
-        opened = begin if first is None else max(min(first, begin + OPENING), begin)
-        between = "SELECT count(*) FROM missing WHERE time >= ? AND time <= ?"
-        if not result.nothing_common:
-            result.lost = one(between, opened, settled)
-            result.early = one(between, self.begin, opened - 1)
-            result.undecided = one(between, max(settled + 1, opened), self.end)
-        # Equal messages that were in flight when the sender's recording began look like doubled ones.
-        result.doubled = one(
-            "SELECT count(*) FROM surplus WHERE sent AND time <= ? AND time >= CASE alike WHEN 1 THEN ? ELSE ? END",
-            self.end, self.begin + IN_FLIGHT, self.begin,
-        )  # fmt: skip
-        result.elsewhere = one(
-            "SELECT count(*) FROM surplus WHERE NOT sent AND time BETWEEN ? AND ?", self.begin + IN_FLIGHT, self.end
-        )
-
-    def _disordered(self) -> int:
-        """Count the messages that came after one that their sender sent later. Equal ones have no order."""
-        return self._one(
-            "SELECT count(*) FROM (SELECT source, max(source) OVER (PARTITION BY sender ORDER BY sink, source"
-            " ROWS BETWEEN UNBOUNDED PRECEDING AND 1 PRECEDING) AS latest FROM pair WHERE NOT alike)"
-            " WHERE source < latest"
-        )
-
-    def _latched_value(self, *, one_value: bool) -> LatchedValue:
-        """Judge what a late joiner would get at the end.
-
-        Args:
-            one_value: one publisher is known to have sent all messages, so that each takes the last one's place.
-        """
-        one = self._one
-        last = "SELECT key, time FROM {} WHERE time <= ? ORDER BY time DESC LIMIT 1"
-        due = self._database.execute(last.format("source"), (self.end - IN_FLIGHT,)).fetchone()
-        if due is None:
-            return "undecided"
-        shown = self._database.execute(last.format("sink"), (self.end,)).fetchone()
-        if shown is None:
-            return "absent"
-        if one("SELECT count(*) FROM source WHERE key = ? AND time >= ?", shown[0], due[1]):
-            return "same"
-        was_sent = one("SELECT count(*) FROM source WHERE key = ?", shown[0]) > 0
-        # The receiving side's own publishers, and several publishers of one topic, each keep a value.
-        if not (was_sent and one_value) and one("SELECT count(*) FROM sink WHERE key = ?", due[0]):
-            return "same"
-        return "old" if was_sent else "absent"
-
-    def _find_gaps(self, result: AuditedTopic) -> None:
-        """Find silences on both sides, in one pass over all times."""
-        source = "near" if result.way == "to_far" else "far"
-        other_side = {"near": "far", "far": "near"}
-        gaps, more = {"near": list[SilentTime](), "far": list[SilentTime]()}, {"near": 0, "far": 0}
-        last: dict[str, int] = {}
-        others = {"near": 0, "far": 0}
-        intervals = short = 0
-
-        def silent(side: str, until: int, *, to_end: bool) -> None:
-            # The message that ends a silence has a counterpart, too.
-            other = others[side] if to_end else max(others[side] - 1, 0)
-            if len(gaps[side]) < GAPS_KEPT:
-                start, end = ((time + self._offset[side]) / SECOND for time in (last[side], until))
-                gaps[side].append(SilentTime(start, end, other, to_end))
-            else:
-                more[side] += 1
-
-        times = "SELECT time, 'near' FROM near UNION ALL SELECT time, 'far' FROM far ORDER BY 1, 2 DESC"
-        for time, side in self._database.execute(times):
-            if (before := last.get(side)) is not None:
-                is_short = time - before <= self._gap
-                if not is_short and time > self.begin and before < self.end:
-                    silent(side, time, to_end=False)
-                if side == source:
-                    intervals += 1
-                    short += is_short
-            last[side] = time
-            others[side] = 0
-            others[other_side[side]] += 1
-        for side, time in last.items():
-            if self._ends[side] - time > self._gap and time < self.end:
-                silent(side, self._ends[side], to_end=True)
-        if intervals >= _FEWEST and 2 * short > intervals:  # else it is usually silent for as long
-            result.gaps, result.more_gaps = gaps, more
-
-    def _one(self, query: str, *values: object) -> int:
-        found: int = self._database.execute(query, values).fetchone()[0]
-        return found
+    for table, columns in _TABLES.items():
+        database.execute(f"DROP TABLE IF EXISTS {table}")
+        database.execute(f"CREATE TABLE {table} ({columns})")
+    rows = database.execute(
+        "SELECT key, time, sender, 0 AS came, time AS place FROM source"
+        " UNION ALL SELECT key, time, sender, 1, time + ? FROM sink ORDER BY key, place, came",
+        (tolerance,),
+    )
+    matches = _Matches(database)
+    for _, equal in groupby(rows, key=itemgetter(0)):
+        matches.add(equal)
+    matches.write()
+    return matches.matched, matches.by_order
 
 
 class _Matches:
@@ -314,7 +88,7 @@ class _Matches:
             insert(self._database, table, rows)
 
     def _write_if_full(self) -> None:
-        if len(self._pair) + len(self._missing) + len(self._surplus) > _HELD:
+        if len(self._pair) + len(self._missing) + len(self._surplus) > ROWS_HELD:
             self.write()
 
     def _cross(self, pairs: Iterable[tuple[_Row, _Row]], *, alike: bool) -> None:

@@ -1,4 +1,4 @@
-"""What a recording has: each file is read once, and each message becomes a row of a database on disk.
+"""Recordings as rows: each file is read once, and each message becomes a row of a database on disk.
 
 A row has the key of the message's content, its time and its sender. No content is kept, so memory does not grow with a
 recording; the disk holds about 30 bytes a message.
@@ -35,7 +35,7 @@ most as long as memory allows."""
 _CACHE = 16 << 10
 """KiB that the database keeps in memory, and that each of up to four sorts takes. 64 MiB were no faster for 10 million
 messages."""
-_HELD = 20_000  # rows before they are written: some 4 MB
+ROWS_HELD = 20_000  # rows before they are written: some 4 MB
 _RELIABLE: dict[object, bool] = {"reliable": True, 1: True, "best_effort": False, 2: False}
 _LATCHED: dict[object, bool] = {"transient_local": True, 1: True, "volatile": False, 2: False}
 """Policies by their names (rosbag2 since Jazzy) and numbers (before)."""
@@ -58,7 +58,7 @@ class RecordingError(Exception):
 
 
 class Offer(NamedTuple):
-    """What a publisher offers by its QoS; None is unknown."""
+    """The QoS that a publisher offers; a field is None if it is unknown."""
 
     reliable: bool | None
     latched: bool | None
@@ -84,7 +84,7 @@ class TopicRows:
 
     @property
     def offer(self) -> Offer:
-        """What all publishers offer, or None if they differ or nothing is known."""
+        """The QoS that all publishers share; a field is None if they differ or it is unknown."""
         known = [offer for offers in self.offers.values() for offer in offers]
         reliable, latched = ({offer[at] for offer in known} for at in (0, 1))
         return Offer(*(next(iter(each)) if len(each) == 1 else None for each in (reliable, latched)))
@@ -168,6 +168,8 @@ def content_key(content: memoryview, *, is_cdr: bool) -> int:
 
 def offers_of(profiles: str) -> list[Offer]:
     """Parse ``offered_qos_profiles`` of a channel, as rosbag2 writes it; what is not understood is unknown."""
+    if "&" in profiles:  # no profile has anchors, a few lines of which may fill the memory
+        return []
     try:
         parsed = yaml.safe_load(profiles)
     except (yaml.YAMLError, ValueError, RecursionError):  # ValueError: a date that is none
@@ -201,8 +203,11 @@ def _read(opened: IO[bytes], path: Path, rows: _Rows) -> str:
         import mcap.records  # noqa: F401, PLC0415 -- everything else does without
     except ImportError:
         raise RecordingError(UnreadableRecording.NOT_INSTALLED()) from None
-    if opened.read(len(_MAGIC)) != _MAGIC:
+    magic = opened.read(len(_MAGIC))
+    if not _MAGIC.startswith(magic):
         raise RecordingError(UnreadableRecording.NO_MCAP(path=path))
+    if len(magic) < len(_MAGIC):
+        return "it is cut off or damaged (EOFError)"
     rows.begin_file()
     try:
         for kind, record in _records(opened):
@@ -225,11 +230,11 @@ def _records(opened: IO[bytes]) -> Iterator[tuple[int, bytes]]:
         kind, length = _HEAD.unpack(head)
         if kind == _DATA_END:
             return
+        if length > _LONGEST:
+            raise OverflowError
         if kind not in (_SCHEMA, _CHANNEL, _IS_MESSAGE, _CHUNK):
             opened.seek(length, os.SEEK_CUR)
             continue
-        if length > _LONGEST:
-            raise OverflowError
         record = opened.read(length)
         if len(record) < length:
             break
@@ -345,7 +350,7 @@ class _Rows:
         if watch is not None:
             watch(content, time)
         self._count += 1
-        if self._count >= _HELD:
+        if self._count >= ROWS_HELD:
             self.write()
 
     def write(self) -> None:

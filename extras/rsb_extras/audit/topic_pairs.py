@@ -1,9 +1,8 @@
-"""Which topics of two recordings belong together: by name, by a prefix that one side adds, or as the user says."""
+"""Pairs of topics of two recordings: by name, by a prefix that one side adds, or as the user says."""
 
 from __future__ import annotations
 
-from collections import Counter
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
 
 from rsb_bridge.model.wording import Wording
 from rsb_extras.audit.unanswered import SERVICE_EVENTS
@@ -15,6 +14,9 @@ if TYPE_CHECKING:
     from rsb_extras.audit.recorded import ReadRecording, TopicRows
 
 PairedBy = Literal["name", "prefix", "option"]
+_Key: TypeAlias = tuple[str, str]
+"""Name and type of a topic."""
+_Topics: TypeAlias = "dict[_Key, TopicRows]"
 
 
 class PairText(Wording):
@@ -56,14 +58,15 @@ def pair_topics(
     Raises:
         PairError: a named topic is not there, or has another type.
     """
-    left = {topic.name: topic for topic in near.topics.values() if not topic.name.endswith(SERVICE_EVENTS)}
-    right = {topic.name: topic for topic in far.topics.values() if not topic.name.endswith(SERVICE_EVENTS)}
+    left, right = (
+        {key: topic for key, topic in side.topics.items() if not topic.name.endswith(SERVICE_EVENTS)}
+        for side in (near, far)
+    )
     pairs = [TopicPair(*_named(a, b, left, right, near, far), "option") for a, b in named]
     for pair in pairs:
-        left.pop(pair.near.name, None)
-        right.pop(pair.far.name, None)
-    same = [name for name, topic in left.items() if name in right and right[name].type_name == topic.type_name]
-    pairs += [TopicPair(left.pop(name), right.pop(name), "name") for name in same]
+        left.pop((pair.near.name, pair.near.type_name), None)
+        right.pop((pair.far.name, pair.far.type_name), None)
+    pairs += [TopicPair(left.pop(key), right.pop(key), "name") for key in sorted(left.keys() & right.keys())]
     pairs += [TopicPair(left.pop(a), right.pop(b), "prefix") for a, b in _by_prefix(left, right)]
 
     def counts(*names: str) -> bool:
@@ -80,42 +83,39 @@ def pair_topics(
 
 
 def _named(
-    a: str,
-    b: str,
-    left: dict[str, TopicRows],
-    right: dict[str, TopicRows],
-    near: ReadRecording,
-    far: ReadRecording,
+    near_name: str, far_name: str, left: _Topics, right: _Topics, near: ReadRecording, far: ReadRecording
 ) -> tuple[TopicRows, TopicRows]:
-    if a not in left:
-        raise PairError(PairText.NOT_IN_NEAR(near=a, far=b, path=near.path))
-    if b not in right:
-        raise PairError(PairText.NOT_IN_FAR(near=a, far=b, path=far.path))
-    types = left[a].type_name, right[b].type_name
-    if types[0] != types[1]:
-        raise PairError(PairText.TYPES(near=a, far=b, near_type=types[0], far_type=types[1]))
-    return left[a], right[b]
+    ones = {topic.type_name: topic for topic in left.values() if topic.name == near_name}
+    others = {topic.type_name: topic for topic in right.values() if topic.name == far_name}
+    if not ones:
+        raise PairError(PairText.NOT_IN_NEAR(near=near_name, far=far_name, path=near.path))
+    if not others:
+        raise PairError(PairText.NOT_IN_FAR(near=near_name, far=far_name, path=far.path))
+    if not (common := sorted(ones.keys() & others.keys())):
+        types = {"near_type": ", ".join(sorted(ones)), "far_type": ", ".join(sorted(others))}
+        raise PairError(PairText.TYPES(near=near_name, far=far_name, **types))
+    return ones[common[0]], others[common[0]]
 
 
-def _by_prefix(left: dict[str, TopicRows], right: dict[str, TopicRows]) -> Iterator[tuple[str, str]]:
-    """Yield names that differ by a prefix of either side. The most frequent prefix wins; of two such none does."""
-    found: dict[tuple[bool, str], list[tuple[str, str]]] = {}
-    for a, one in left.items():
-        for b, other in right.items():
-            if one.type_name == other.type_name and (a.endswith(b) or b.endswith(a)):
+def _by_prefix(left: _Topics, right: _Topics) -> Iterator[tuple[_Key, _Key]]:
+    """Yield topics whose names differ by a prefix of either side. The most frequent prefix wins; of two such none."""
+    found: dict[tuple[bool, str], list[tuple[_Key, _Key]]] = {}
+    for a, near_type in left:
+        for b, far_type in right:
+            if near_type == far_type and (a.endswith(b) or b.endswith(a)):
                 prefix = (True, b[: -len(a)]) if len(b) > len(a) else (False, a[: -len(b)])
-                found.setdefault(prefix, []).append((a, b))
-    taken: set[str] = set()
+                found.setdefault(prefix, []).append(((a, near_type), (b, far_type)))
+    taken: tuple[set[_Key], set[_Key]] = set(), set()
     for prefix in sorted(found, key=lambda each: (-len(found[each]), each)):
-        free = [(a, b) for a, b in found[prefix] if f"<{a}" not in taken and f">{b}" not in taken]
-        rivals = Counter(
-            side
-            for other, names in found.items()
-            if len(names) == len(found[prefix]) and other != prefix
-            for a, b in names
-            for side in (f"<{a}", f">{b}")
-        )
-        for a, b in free:
-            if not rivals[f"<{a}"] and not rivals[f">{b}"]:
-                yield a, b
-                taken |= {f"<{a}", f">{b}"}
+        rivals = [
+            pair
+            for other, pairs in found.items()
+            if len(pairs) == len(found[prefix]) and other != prefix
+            for pair in pairs
+        ]
+        of_rivals = {a for a, _ in rivals}, {b for _, b in rivals}
+        for pair in [each for each in found[prefix] if each[0] not in taken[0] and each[1] not in taken[1]]:
+            if pair[0] not in of_rivals[0] and pair[1] not in of_rivals[1]:
+                yield pair
+                taken[0].add(pair[0])
+                taken[1].add(pair[1])

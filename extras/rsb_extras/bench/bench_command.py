@@ -11,7 +11,7 @@ from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from textwrap import fill
-from typing import TYPE_CHECKING, Self, TextIO, get_args
+from typing import TYPE_CHECKING, Any, Self, TextIO, get_args
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.files import is_there, why_not_written, write_whole
@@ -61,12 +61,14 @@ class Progress:
     """The progress of a benchmark, written to terminals only.
 
     Args:
-        stream: standard error, as a rule.
+        stream: standard error, if None.
     """
 
-    def __init__(self, stream: TextIO) -> None:
-        self._stream = stream
-        self._shows = stream.isatty()
+    def __init__(self, stream: TextIO | None = None) -> None:
+        # `CleanErrors` would escape the codes of `_ERASE`; `show` cleans its text itself.
+        errors: Any = sys.stderr
+        self._stream: TextIO = stream or getattr(errors, "raw", errors)
+        self._shows = self._stream.isatty()
 
     def __enter__(self) -> Self:
         return self
@@ -90,8 +92,13 @@ class Progress:
 def bench(arguments: Namespace) -> int:
     """Measure and print the results. Return the exit code."""
     here = arguments.bridge is None and arguments.control is None and arguments.way is None
-    problem = _misplaced(arguments, here=here) or _plot_problem(arguments.plot) or _record_problem(arguments.record)
-    if problem:
+    problems = (
+        _misplaced(arguments, here=here),
+        _file_problem(arguments.plot, ".svg"),
+        _file_problem(arguments.record, ".mcap"),
+        _overwritten(arguments.record),
+    )
+    if problem := next(filter(None, problems), ""):
         return failed(arguments, problem, USAGE)
     try:
         return _on_this_machine(arguments) if here else _over_link(arguments)
@@ -99,26 +106,20 @@ def bench(arguments: Namespace) -> int:
         return failed(arguments, str(error), FAILURE)
 
 
-def _plot_problem(path: Path | None) -> str:
-    """Return the reason why no plot can be written there, or an empty string; checked before minutes of measuring."""
+def _file_problem(path: Path | None, suffix: str) -> str:
+    """Return the reason why no such file can be written there, or an empty string."""
     if path is None:
         return ""
-    if path.suffix.lower() != ".svg":
-        return f"{path}: the plot is an SVG file; choose a name that ends in .svg"
+    if path.suffix.lower() != suffix:
+        return f"{path}: choose a name that ends in {suffix}"
     if path.is_dir():
         return f"{path}: this is a folder"
     return "" if path.parent.is_dir() else f"{path}: there is no such folder"
 
 
-def _record_problem(path: Path | None) -> str:
-    """Return the reason why no recordings can be written there, or an empty string, as `_plot_problem`."""
-    if path is None:
-        return ""
-    if path.suffix.lower() != ".mcap":
-        return f"{path}: recordings are MCAP files; choose a name that ends in .mcap"
-    if not path.parent.is_dir():
-        return f"{path}: there is no such folder"
-    there = [each for each in _recordings(path) if is_there(each)]
+def _overwritten(path: Path | None) -> str:
+    """Return the problem of a recording that is there already, or an empty string."""
+    there = [each for each in _recordings(path) if is_there(each)] if path else []
     return f"{there[0]}: there is such a file already; choose another name" if there else ""
 
 
@@ -169,7 +170,7 @@ def _lack(transport: str) -> str:
 
 @contextlib.contextmanager
 def _recording(path: Path | None, report: BenchReport) -> Iterator[BenchRecording | None]:
-    """What records the report's runs, or None without a path."""
+    """Yield the recording of the report's runs, or None without a path."""
     if path is None:
         yield None
         return
@@ -179,7 +180,7 @@ def _recording(path: Path | None, report: BenchReport) -> Iterator[BenchRecordin
 
 def _write(recording: BenchRecording, path: Path, report: BenchReport, code: int) -> int:
     """Write the recordings; without them, the results are printed all the same. Return the exit code."""
-    with Progress(getattr(sys.stderr, "raw", sys.stderr)) as progress:
+    with Progress() as progress:
         try:
             recording.write(progress.show)
         except OSError as error:
@@ -266,8 +267,7 @@ def _loads_of_running_bridges() -> list[Load]:
 
 def _measure(place: BenchPlace, report: BenchReport, plan: Plan) -> int:
     """Fill the report and return the exit code; after an interrupt, keep the results so far."""
-    # `CleanErrors` would escape the codes of `_ERASE`; `show` cleans its text itself.
-    with Progress(getattr(sys.stderr, "raw", sys.stderr)) as progress:
+    with Progress() as progress:
         try:
             Suite(place, plan, report, time.monotonic, progress.show).run()
         except KeyboardInterrupt:

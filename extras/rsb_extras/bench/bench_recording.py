@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from rsb_extras.recording.mcap_file import McapFile
 
 MOST_BYTES = 4 << 30
-"""Bytes of the messages in one recording. The file takes far fewer, but writing both of them takes 7 s then, and
-programs that read them unpack it all."""
+"""Bytes of the messages in one recording. The file is far smaller, but writing both takes 7 s then, and readers unpack
+all of it."""
 _STRING_TYPE = 17  # type_description_interfaces/msg/FieldType
 _DESCRIPTION = text_of(
     TypeDescription(MessageType(STRING, (MessageField("data", FieldType(_STRING_TYPE, 0, 0, "")),)), ())
@@ -34,6 +34,7 @@ _DESCRIPTION = text_of(
 
 
 class RecordingText(Wording):
+    NOT_KEPT = "{count} of {runs} runs are not in the recordings: too many messages, or altered ones"
     INCOMPLETE = (
         "{count} of {runs} runs, the largest, are not in the recordings, which have room for {gigabytes:.1f} GB of "
         "messages: give smaller --sizes"
@@ -62,7 +63,7 @@ class BenchRecording:
     Args:
         near: path of the talker's recording, where nothing is yet.
         far: path of the listener's recording, where nothing is yet.
-        folder: for what waits, until this one is not used any more.
+        folder: for the kept messages; it has to exist until `write` has returned.
         epoch: the wall clock less the monotonic clock, in ns. One number for all messages: the difference of two times
             in the recordings is then as it was measured, also if somebody sets the wall clock meanwhile.
     """
@@ -95,15 +96,18 @@ class BenchRecording:
 
         Raises:
             McapError: MCAP's library is not installed.
-            OSError: a file is there, or it cannot be written; neither is there then.
+            OSError: a file is there, or it cannot be written; then the listener's may be there alone.
         """
         # A run may be the best one and that for the latency, too; only the former's bytes on the wire are counted.
         points = self._report.points
         runs = list(dict.fromkeys(replace(run, wire=None) for point in points for run in point.runs))
-        topics = _smallest([run for run in runs if run.topic])
+        kept = [run for run in runs if run.topic]
+        topics = _smallest(kept)
         self._report.points = [_recorded(point, set()) for point in points]
-        if len(topics) < len(runs):
-            figures = {"count": len(runs) - len(topics), "runs": len(runs), "gigabytes": MOST_BYTES / 1e9}
+        if len(kept) < len(runs):
+            self._report.notes.append(RecordingText.NOT_KEPT(count=len(runs) - len(kept), runs=len(runs)))
+        if len(topics) < len(kept):
+            figures = {"count": len(kept) - len(topics), "runs": len(runs), "gigabytes": MOST_BYTES / 1e9}
             self._report.notes.append(RecordingText.INCOMPLETE(**figures))
         if not topics:
             return

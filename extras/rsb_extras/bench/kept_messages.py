@@ -33,7 +33,7 @@ class KeptMessage(NamedTuple):
 
 
 class KeptMessages:
-    """Keeps what makes the messages again: a run of 6 MB each would not fit into memory, two numbers each do.
+    """Keeps two numbers for each message, from which it is made again: messages of 6 MB would not fit into memory.
 
     A message that `stamped_string` would not make is kept whole, so that a recording has what really arrived.
 

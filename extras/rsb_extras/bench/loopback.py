@@ -147,13 +147,13 @@ def sent_bytes(socket: Path) -> int:
 
 @contextlib.contextmanager
 def ends(near: int, far: int, sizes: Sequence[int] = ()) -> Iterator[Bed]:
-    """Talker and listener, in two domains or one, with a topic for each size."""
+    """Start a talker and a listener, in two domains or one, with a topic for each size."""
     topics = [f"{topic_of(size)}:{depth_of(size)}" for size in sizes] or [TOPIC]
     with (
         Process("-m", TRAFFIC, "talk", str(near), *topics) as talker,
-        Process("-m", TRAFFIC, "listen", str(far), *topics) as listening,
+        Process("-m", TRAFFIC, "listen", str(far), *topics) as listener,
     ):
-        yield Bed(talker, listening, topics={size: at for at, size in enumerate(sizes)})
+        yield Bed(talker, listener, topics={size: at for at, size in enumerate(sizes)})
 
 
 def topic_of(size: int) -> str:
@@ -302,8 +302,7 @@ class Loopback:
     def many(self, count: int) -> Many:
         prefix = f"{TOPIC}_{os.getpid()}/topic_"
         entries = [
-            f"  - {{topic: {prefix}{number:03d}, direction: transmit, type: std_msgs/msg/String}}"
-            for number in range(count)
+            f"  - {{topic: {prefix}{number:03d}, direction: transmit, type: {_TYPE}}}" for number in range(count)
         ]
         with contextlib.ExitStack() as resources:
             folder = Path(resources.enter_context(tempfile.TemporaryDirectory(prefix="rsb-bench-")))
@@ -351,7 +350,7 @@ def _attached(socket: Path) -> RemoteEngine | None:
 
 
 def machine() -> str:
-    """Return the processor, its cores and Python's version."""
+    """Return the processor's name and the number of cores."""
     name = ""
     with contextlib.suppress(OSError):
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()

@@ -1,11 +1,11 @@
 """The ends of a measured stream of std_msgs/String.
 
-They are started by ``python -m rsb_extras.bench.measured_stream PART DOMAIN TOPIC[:DEPTH]...``.
+They are started by ``python -m rsb_extras.bench.measured_stream PART DOMAIN TOPIC[:DEPTH]...``. Each part reads
+commands line by line, answers with lines of JSON, and ends with its standard input.
 
-It is commanded by lines, and answers with lines of JSON; it ends with its standard input.
-
-- ``talk``: ``send RATE COUNT SIZE [AT [FILE]]`` publishes COUNT messages of SIZE bytes at RATE Hz on the topic of that
-  number, and answers with the rate reached. FILE is a new one for the messages (`kept_messages`).
+- ``talk``: ``match`` answers with the fewest subscribers of a topic. ``send RATE COUNT SIZE [AT [FILE]]`` publishes
+  COUNT messages of SIZE bytes at RATE Hz on the topic of that number, and answers with the rate reached. FILE is a new
+  one for the messages (`kept_messages`).
 - ``listen``: ``reset [SIZE]`` forgets, and with a SIZE keeps the messages from then on; ``count`` answers with the
   count, ``report [FILE]`` with the count and the latencies (ns), and whether FILE has the messages that it counts.
 - ``many DOMAIN PREFIX COUNT [SUFFIX]`` publishes on COUNT topics, each at 1 Hz.
@@ -163,7 +163,7 @@ def _listen(context: Context, node: Node, topics: Sequence[str]) -> None:
                     case "count", _, _:
                         _answer(count=arrivals.count)
                     case _, _, path:
-                        # Once: messages may still come, which neither the answer nor the file has then.
+                        # Read once: messages that come later are in neither the answer nor the file.
                         count, kept = arrivals.count, arrivals.kept
                         p50, p99, p999 = percentiles(arrivals.latencies)
                         written = kept is not None and kept.write(Path(path), count)

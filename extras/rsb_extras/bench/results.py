@@ -166,7 +166,7 @@ class BenchReport:
     Attributes:
         version: version of this format.
         over: the measured link, in words.
-        machine: processor, cores and Python.
+        machine: processor and cores.
         points: figures by transport, direction and size.
         sides: the sending and the receiving bridge, by transport.
         many: figures with many topics.

@@ -22,7 +22,7 @@ from rosbags.typesys import Stores, get_typestore
 from tests.support.wording import says
 
 from rsb_extras.audit.audit_table import AuditText
-from rsb_extras.audit.recorded import UnreadableRecording, insert, new_database, unpacked
+from rsb_extras.audit.recorded import UnreadableRecording, insert, new_database, offers_of, unpacked
 from rsb_extras.audit.tests.audit_places import CALLS_REMEMBERED, INSERTS, MATCHES_HELD, NEW_DATABASE, PIECE, ROWS_HELD
 from rsb_extras.audit.tests.conftest import Audited, Sides
 from rsb_extras.audit.tests.written import START, Written, text
@@ -251,9 +251,10 @@ def test_recording_of_another_writer(sides: Sides, tmp_path: Path, ran: Any) -> 
 @pytest.mark.parametrize(
     ("content", "problem"),
     [
-        (b"", UnreadableRecording.NO_MCAP),
+        (b"", UnreadableRecording.EMPTY),
         (b"SQLite format 3\0" * 8, UnreadableRecording.NO_MCAP),
         (b"\x89MCAP0\r\n", UnreadableRecording.EMPTY),
+        (b"\x89MCAP0\r\n\xff" + (1 << 62).to_bytes(8, "little"), UnreadableRecording.EMPTY),
         (None, UnreadableRecording.NOT_THERE),
     ],
 )
@@ -377,6 +378,14 @@ def test_calls_without_an_answer(sides: Sides, audited: Run) -> None:
     assert all(each["topic"] != events for each in found.json["topics"])
 
 
+def test_calls_of_others_do_not_count(sides: Sides, audited: Run) -> None:
+    sides.spans(60)
+    sides.stream(sides.topic("/scan"))
+    sides.near.add(sides.topic("/add/_service_event"), 5.0, event(0, 1))
+    found = audited("--topic", "/scan")
+    assert (found.json["calls"], found.code) == ([], 0)
+
+
 def test_calls_that_are_forgotten_are_unanswered(monkeypatch: pytest.MonkeyPatch, sides: Sides, audited: Run) -> None:
     CALLS_REMEMBERED.set(monkeypatch, 5)
     sides.spans(60)
@@ -434,3 +443,38 @@ def test_lines_tell_the_bridge_from_the_sender(sides: Sides, ran: Any) -> None:
     assert [says(line, AuditText.SILENCE, other=19, side="FAR") for line in lines].count(True) == 1
     assert [says(line, AuditText.SILENCE) for line in lines].count(True) == 1
     assert [says(line, AuditText.SENDER, count=1, side="NEAR") for line in lines].count(True) == 1
+
+
+def test_goal_that_ends_after_one_recording_is_no_breach(sides: Sides, audited: Run) -> None:
+    topic = sides.topic("/go/_action/status", type_name="action_msgs/msg/GoalStatusArray")
+    sides.near.spans(60)
+    sides.far.spans(80)
+    sides.far.add(topic, 5.0, status((1, 2)))
+    sides.near.add(topic, 5.1, status((1, 2)))
+    sides.far.add(topic, 65.0, status((1, 4)))
+    found = audited("--back", "/go/**", "--overlap")
+    assert [(each["goals"], each["unanswered"]) for each in found.json["goals"]] == [(1, 0)]
+    assert found.code == 0
+
+
+def test_topic_that_is_not_judged_needs_no_long_recording(sides: Sides, audited: Run) -> None:
+    sides.near.spans(60)
+    sides.far.spans(45)
+    sides.stream(sides.topic("/cmd_vel"), back=True)
+    topic = sides.topic("/rosout")
+    sides.near.add(topic, 5.0, 1)
+    sides.far.add(topic, 5.0, 2)
+    found = audited("--back", "/cmd_vel")
+    assert (found["/rosout"]["nothing_common"], found.code) == (True, 0)
+
+
+def test_name_with_two_types_is_two_topics(sides: Sides, audited: Run) -> None:
+    sides.spans(15)
+    sides.stream(sides.topic("/scan"))
+    sides.near.add(sides.near.topic("/scan", "std_msgs/msg/Int32", publisher="other"), 5.0, 1, "other")
+    found = audited()
+    assert (found["/scan"]["matched"], "/scan" in found.json["only_near"]) == (100, True)
+
+
+def test_anchors_of_a_profile_are_not_followed() -> None:
+    assert offers_of("- &one {reliability: reliable}\n- *one\n") == []

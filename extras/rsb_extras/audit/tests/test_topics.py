@@ -231,6 +231,30 @@ def test_late_bridge_loses_what_is_not_early(sides: Sides, audited: Run) -> None
     assert (found["/scan"]["early"], found["/scan"]["lost"], found.code) == (200, 100, 1)
 
 
+def test_recorder_that_finds_a_topic_late_turns_no_way_around(sides: Sides, audited: Run) -> None:
+    sides.spans(15)
+    sides.stream(sides.topic("/odom"))
+    topic = sides.topic("/scan")
+    for number in range(100):
+        at = 2 + number * 0.1
+        if number >= 30:
+            sides.near.add(topic, at, number)
+        if number not in (50, 70):
+            sides.far.add(topic, at + 0.02, number)
+    found = audited()
+    assert (found["/scan"]["way"], found["/scan"]["lost"], found["/scan"]["elsewhere"]) == ("to_far", 2, 30)
+
+
+def test_silence_of_a_sender_is_none_of_the_bridge_however_late_messages_are(sides: Sides, audited: Run) -> None:
+    sides.spans(15)
+    topic = sides.topic("/scan")
+    for number in (*range(30), *range(60, 100)):
+        sides.near.add(topic, 2 + number * 0.1, number)
+        sides.far.add(topic, 2.35 + number * 0.1, number)
+    gap, _ = audited("--offset", "0")["/scan"]["gaps"]["far"]
+    assert (gap["other"], gap["end"] - gap["start"]) == (0, pytest.approx(3.1))
+
+
 def test_losses_before_a_late_message_are_decided(sides: Sides, audited: Run) -> None:
     """The link is away from 10 s to 20 s, and half of what waited for it comes then."""
     sides.spans(31)
@@ -295,10 +319,10 @@ def test_last_latched_value(far: list[int], state: str, code: int, sides: Sides,
         sides.far.add(topic, 3.1 + at, number)
     found = audited()
     assert (found["/map"]["latched_value"], found.code) == (state, code)
-    assert (("latched", "/map", 1) in found.breaches) == (state != "same")
+    assert ((f"latched_{state}", "/map", 1) in found.breaches) == (state != "same")
 
 
-def test_latched_value_of_the_last_second_is_undecided(sides: Sides, audited: Run) -> None:
+def test_latched_value_of_the_last_second_does_not_count(sides: Sides, audited: Run) -> None:
     sides.spans(15)
     topic = sides.topic("/map", durability=LATCHED)
     sides.near.add(topic, 3.0, 1)
@@ -311,6 +335,15 @@ def test_latched_value_of_the_last_second_is_undecided(sides: Sides, audited: Ru
     found = audited("--offset", "0")
     assert (found["/map"]["latched_value"], found["/map"]["undecided"], found.code) == ("same", 1, 0)
     assert found["/quick_map"]["latched_value"] == "same"
+
+
+def test_latched_message_that_is_too_young_is_undecided(sides: Sides, audited: Run) -> None:
+    sides.spans(15)
+    topic = sides.topic("/map", durability=LATCHED)
+    sides.near.add(topic, 14.9, 1)
+    sides.far.add(topic, 14.95, 1)
+    found = audited("--offset", "0")
+    assert (found["/map"]["latched_value"], found.code) == ("undecided", 0)
 
 
 def test_each_latched_publisher_keeps_a_value(sides: Sides, audited: Run) -> None:

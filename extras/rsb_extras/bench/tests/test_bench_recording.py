@@ -190,6 +190,16 @@ def test_recording_with_nothing_in_it_is_not_written(tmp_path: Path, monkeypatch
     assert not list(tmp_path.glob("*.mcap"))
 
 
+def test_run_that_was_not_kept_is_noted(tmp_path: Path) -> None:
+    recording, report, link = simulated(tmp_path)
+    measure(report, link)
+    point = report.points[0]
+    report.points[0] = replace(point, gentle=replace(point.gentle, topic=""))
+    recording.write(lambda _: None)
+    (note,) = report.notes
+    assert says(note, RecordingText.NOT_KEPT, count=1)
+
+
 def test_second_run_of_same_rate_is_another_topic(tmp_path: Path) -> None:
     recording, _, _ = simulated(tmp_path)
     kept = [recording.keep("/bench/tcp/search", 5) for _ in range(2)]
