@@ -17,7 +17,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from bench import bed, calls, zenoh_bridge
+from bench import bed, calls
 from bench.figures import Figures, in_turn, print_table
 
 from rsb_extras.bench.suite import highest_lossless
@@ -33,9 +33,8 @@ PARTS = ("small", "large", "rates", "calls")
 RATE_SIZES = (2_500, 10_000)
 DOMAINS = range(66, 92, 2)
 """The first domain of each bed's pair: below 102, where the kernel's ports begin. Tests have those up to 80, too."""
-LARGEST = {"thesis": 10_000, **dict.fromkeys((zenoh_bridge.NAME, zenoh_bridge.WITH_TLS), 100_000)}
-"""Most bytes of a message. The thesis's pipeline searches all that it has for each KiB, minutes for 6 MB. Of 1 MB
-from Cyclone DDS, Fast DDS loses most messages and gives the listener empty ones (`bench.withdrawn_message`)."""
+LARGEST = {"thesis": 10_000}
+"""Most bytes of a message. The thesis's pipeline searches all that it has for each KiB, minutes for 6 MB."""
 WARM_SECONDS, IDLE_SECONDS, RATE_SECONDS = 0.2, 5.0, 0.5
 FIRST_RATE, CLOSE = 10_000.0, 1.25  # highest rates are searched to a quarter (bench/README.md, Method)
 FEW, KEPT_UP = 0.99, 0.9

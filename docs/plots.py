@@ -8,6 +8,8 @@ from __future__ import annotations
 import json
 import math
 from html import escape
+from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any
@@ -25,11 +27,12 @@ _OURS, _OTHER, _LATE, _LOST = "#1f6fb2", "#8a5a00", "#e08a00", "#c62828"
 _WIDE, _LEFT, _RIGHT = 800, 270, 110
 _ROW, _HEAD, _FOOT = 26, 58, 34
 _SHORTEST, _LONGEST = 30.0, 10_000.0  # ms
-_BEFORE, _AFTER = -3.0, 30.0  # s from the cut's begin
-_IN_TIME = 1.0  # s
+_BEFORE, _AFTER = -2.8, 29.0  # s from the cut's begin
+_EVERY, _IN_TIME = 0.1, 1.0  # s
 
 
-def main() -> None:
+def drawn() -> str:
+    """Return the picture as SVG."""
     robot: Mapping[str, Any] = json.loads((FIGURES / "wifi.json").read_text(encoding="utf-8"))
     outages: Mapping[str, Any] = json.loads((FIGURES / "cut.json").read_text(encoding="utf-8"))
     columns = robot["wifi"]
@@ -47,7 +50,7 @@ def main() -> None:
         "</g>",
         "</svg>",
     ]
-    PICTURE.write_text("\n".join(parts) + "\n", encoding="utf-8")
+    return "\n".join(parts) + "\n"
 
 
 def _latencies(columns: Mapping[str, Sequence[Mapping[str, Any]]]) -> Iterator[str]:
@@ -87,22 +90,28 @@ def _time_lines(lines: Mapping[str, Sequence[tuple[float, float | None]]]) -> It
     )
     bottom = _HEAD + len(lines) * _ROW
     yield _bar(at(0), _HEAD, at(20) - at(0), bottom - _HEAD, "#f1f1f1", "the link is down")
-    for tick in (0, 5, 10, 15, 20, 25, 30):
+    for tick in (0, 5, 10, 15, 20, 25):
         yield from _grid(at(tick), bottom, f"{tick} s")
     for number, (name, line) in enumerate(lines.items()):
         y = _HEAD + (number + 0.5) * _ROW
         yield _label(y, name)
-        shown = [(made, heard) for made, heard in line if _BEFORE <= made <= _AFTER]
-        for made, heard in shown:
-            colour = _LOST if heard is None else _LATE if heard - made > _IN_TIME else _OURS
-            yield _bar(at(made), y - 8, 1.2, 16, colour)
-        lost = sum(heard is None for _, heard in shown)
+        shown = [(made, _colour(made, heard)) for made, heard in line if _BEFORE <= made <= _AFTER]
+        for colour, alike in groupby(shown, key=itemgetter(1)):
+            first, *others = (at(made) for made, _ in alike)
+            yield _bar(first, y - 8, (others or [first])[-1] - first + at(_EVERY) - at(0), 16, colour)
+        lost = sum(colour == _LOST for _, colour in shown)
         yield _text(_WIDE - 20, y + 4, f"{lost} lost", 14, "end", _LOST if lost else _OURS)
     across = _LEFT
     for colour, words in ((_OURS, "arrives within 1 s"), (_LATE, "arrives later"), (_LOST, "never arrives")):
         yield _bar(across, bottom + _FOOT - 4, 10, 10, colour)
         yield _text(across + 16, bottom + _FOOT + 5, words)
         across += 150
+
+
+def _colour(made: float, heard: float | None) -> str:
+    if heard is None:
+        return _LOST
+    return _LATE if heard - made > _IN_TIME else _OURS
 
 
 def _grid(x: float, bottom: float, words: str) -> Iterator[str]:
@@ -126,4 +135,4 @@ def _text(x: float, y: float, words: str, size: int = 12, anchor: str = "start",
 
 
 if __name__ == "__main__":
-    main()
+    PICTURE.write_text(drawn(), encoding="utf-8")
