@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from rsb_extras.audit.comparing import AuditReport, Breach, RecordingFacts
 
 _HEADS = (
-    "topic", "", "QoS", "near", "far", "lost", "doubled", "disordered", "early", "undecided", "elsewhere", "p50 ms",
-    "p99 ms", "latched",
+    "topic", "", "QoS", "near", "far", "lost", "doubled", "disordered", "early", "undecided", "outside", "elsewhere",
+    "p50 ms", "p99 ms", "latched",
 )  # fmt: skip
 _WAYS = {"to_far": "->", "to_near": "<-"}
 _NONE = "-"
@@ -43,11 +43,14 @@ class AuditText(Wording):
     NO_OVERLAP = "The recordings have no time in common: nothing can be judged."
     EARLY = "early: before the topic's first message that crossed, in its first {opening:g} s."
     UNDECIDED = "undecided: sent so late that it may have been on its way when a recording ended."
+    OUTSIDE = "outside: not arrived, but only the sender's recording covers their time, so they are not judged."
     ELSEWHERE = "elsewhere: only on the receiving side."
     BY_ORDER = "{topic}: {count:,} of {all:,} messages equal others; which of them crossed is told by their order"
     NOT_JUDGED = "not judged, as the sides have no message in common (not bridged, or changed on the way): {topics}"
     ASSUMED = "from NEAR to FAR, as nothing says otherwise (--back): {topics}"
-    UNKNOWN_QOS = "{topic}: the recording does not say what QoS its publishers offer; what is lost is no failure"
+    UNKNOWN_QOS = (
+        "{topic}: the recording does not say which QoS holds, or its publishers differ; what is lost is no failure"
+    )
     SEVERAL = "{topic}: several publishers, which the recording does not tell apart; their order is not judged"
     ONLY = "only in {side}: {topics}"
     SILENCE = "{topic}: silent on {side} from {start} for {seconds:.1f} s; on {other_side} {other:,} {messages}"
@@ -74,11 +77,14 @@ def lines_of(report: AuditReport) -> Iterator[str]:
     if report.topics:
         yield ""
         yield from _table(report.topics)
-        if any(each.early for each in report.topics):
+        judged = [each for each in report.topics if not each.nothing_common]
+        if any(each.early for each in judged):
             yield AuditText.EARLY(opening=OPENING / SECOND)
-        if any(each.undecided for each in report.topics):
+        if any(each.undecided for each in judged):
             yield AuditText.UNDECIDED()
-        if any(each.elsewhere for each in report.topics):
+        if any(each.outside for each in judged):
+            yield AuditText.OUTSIDE()
+        if any(each.elsewhere for each in judged):
             yield AuditText.ELSEWHERE()
     for more in (_notes, _silences, _answers, _verdict):
         lines = list(more(report))
@@ -112,7 +118,9 @@ def _table(topics: Sequence[AuditedTopic]) -> Iterator[str]:
 
 
 def _row(topic: AuditedTopic) -> tuple[str, ...]:
-    counted = (topic.lost, topic.doubled, topic.disordered, topic.early, topic.undecided, topic.elsewhere)
+    counted = (
+        topic.lost, topic.doubled, topic.disordered, topic.early, topic.undecided, topic.outside, topic.elsewhere,
+    )  # fmt: skip
     ages = (topic.age_p50, topic.age_p99)
     return (
         topic.topic if topic.topic == topic.far_topic else f"{topic.topic} = {topic.far_topic}",

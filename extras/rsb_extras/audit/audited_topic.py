@@ -55,6 +55,7 @@ class AuditedTopic(msgspec.Struct):
         by_order: messages that are equal to others, so that their order decided.
         early: messages from before the first that crossed, for `OPENING` at most.
         undecided: messages that may have been on their way at the end.
+        outside: messages that only their sender's recording covers, and that did not arrive.
         elsewhere: messages that only the receiving side has.
         latched_value: of a latched topic, or None.
         gaps, more_gaps: by side, `near` and `far`: the first ones, and how many more there are.
@@ -78,6 +79,7 @@ class AuditedTopic(msgspec.Struct):
     disordered: int | None = 0
     early: int = 0
     undecided: int = 0
+    outside: int = 0
     elsewhere: int = 0
     age_p50: float | None = None
     age_p99: float | None = None
@@ -114,7 +116,7 @@ class Audit:
         self.end = min(self._ends.values())
         # The order of equal messages allows for an error of the clocks: none comes before it was sent.
         self._tolerance = _TOLERANCE + (clocks.uncertainty or 0)
-        self._gap = round(gap * SECOND)
+        self._gap = round(min(gap, 1e9) * SECOND)
 
     def compare(self, pair: TopicPair, direction: Direction) -> AuditedTopic:
         """Return what the recordings say of a topic whose messages go to one side."""
@@ -125,7 +127,9 @@ class Audit:
             pair.near.name, pair.far.name, pair.near.type_name, pair.by, *direction, source.offer.reliable,
             source.offer.latched, pair.near.messages, pair.far.messages,
         )  # fmt: skip
-        result.matched, result.by_order = match_messages(self._database, self._tolerance)
+        result.matched, result.by_order = match_messages(
+            self._database, self._tolerance, is_latched=source.offer.latched is True
+        )
         result.nothing_common = bool(source.messages and sink.messages and not result.matched)
         self._count(result)
         if result.latched and not result.nothing_common:
@@ -144,7 +148,8 @@ class Audit:
             after = late + SECOND
         else:
             after = -1 << 62
-        alike = not one("SELECT count(*) FROM pair WHERE NOT alike")
+        # Of equal messages, those that are matched in order tell ages, where there are no others.
+        alike = 0 if one("SELECT count(*) FROM pair WHERE alike = 0") else 1
         count = one("SELECT count(*) FROM pair WHERE alike = ? AND source > ?", alike, after)
         settled = self.end - IN_FLIGHT
         if count:
@@ -155,7 +160,7 @@ class Audit:
             ).fetchall()
             (p50,), (p99,) = ages[0], ages[-1]
             result.age_p50, result.age_p99 = p50 / SECOND, p99 / SECOND
-            settled -= max(p99, 0)
+            settled -= min(max(p99, 0), OPENING)
         # What was sent a second before something that has come should have come, too, however late others were.
         settled = max(settled, (one("SELECT max(source) FROM pair") or 0) - IN_FLIGHT)
         # Before the first message crosses, a bridge or a recorder may not have found the topic yet. Of a topic that
@@ -163,15 +168,22 @@ class Audit:
         first = one("SELECT min(source) FROM pair")
         begin = max(self.begin, one("SELECT min(time) FROM source") or 0)
         opened = begin if first is None else max(min(first, begin + OPENING), begin)
-        between = "SELECT count(*) FROM missing WHERE time >= ? AND time <= ?"
         if not result.nothing_common:
-            result.lost = one(between, opened, settled)
-            result.early = one(between, self.begin, opened - 1)
-            result.undecided = one(between, max(settled + 1, opened), self.end)
+            # Which of equal messages were lost is not known, so that the first ones may be only named for others.
+            arrived = one("SELECT min(sink) FROM pair")
+            equal = opened if arrived is None else min(opened, max(self.begin, arrived - IN_FLIGHT))
+            missing = (
+                "SELECT count(*) FROM missing"
+                " WHERE (time < CASE alike WHEN 0 THEN ? ELSE ? END) = ? AND time BETWEEN ? AND ?"
+            )
+            result.early = one(missing, opened, equal, True, self.begin, self.end)
+            result.lost = one(missing, opened, equal, False, self.begin, settled)
+            result.undecided = one(missing, opened, equal, False, settled + 1, self.end)
+            result.outside = one("SELECT count(*) FROM missing WHERE NOT time BETWEEN ? AND ?", self.begin, self.end)
         # Equal messages that were in flight when the sender's recording began look like doubled ones.
         result.doubled = one(
-            "SELECT count(*) FROM surplus WHERE sent AND time <= ? AND time >= CASE alike WHEN 1 THEN ? ELSE ? END",
-            self.end, self.begin + IN_FLIGHT, self.begin,
+            "SELECT count(*) FROM surplus WHERE sent AND time <= ? AND time >= CASE alike WHEN 0 THEN ? ELSE ? END",
+            self.end, self.begin, self.begin + IN_FLIGHT,
         )  # fmt: skip
         result.elsewhere = one(
             "SELECT count(*) FROM surplus WHERE NOT sent AND time BETWEEN ? AND ?", self.begin + IN_FLIGHT, self.end
@@ -219,8 +231,8 @@ class Audit:
         intervals = short = 0
 
         def silent(side: str, until: int, *, to_end: bool) -> None:
-            # The message that ends a silence has a counterpart, too.
-            other = others[side] if to_end else max(others[side] - 1, 0)
+            # A message at one of its ends has a counterpart, too.
+            other = others[side] if to_end and others[side] > 1 else max(others[side] - 1, 0)
             if len(gaps[side]) < GAPS_KEPT:
                 start, end = ((time + shift[side] + self._offset[side]) / SECOND for time in (last[side], until))
                 gaps[side].append(SilentTime(start, end, other, to_end))

@@ -128,8 +128,7 @@ def compare(near_path: Path, far_path: Path, options: AuditOptions) -> AuditRepo
     try:
         near, far = read_recording(near_path, "near", database), read_recording(far_path, "far", database)
         paired = pair_topics(near, far, options.pairs, options.topics)
-        for pattern in options.topics:
-            _check_named(pattern, paired)
+        _check_named(options, paired, near, far)
         told = None if options.offset is None else round(options.offset * SECOND)
         ways, clocks = directions(
             database, near, far, paired.pairs, back=options.back, forth=options.forth, offset=told
@@ -162,11 +161,18 @@ def compare(near_path: Path, far_path: Path, options: AuditOptions) -> AuditRepo
     )
 
 
-def _check_named(pattern: Pattern, paired: Paired) -> None:
-    names = (topic.name for pair in paired.pairs for topic in (pair.near, pair.far))
-    alone = (topic.name for topic in (*paired.only_near, *paired.only_far))
-    if not any(pattern.match(name) is not None for name in (*names, *alone)):
-        raise PairError(PairText.NO_TOPIC(pattern=pattern.text))
+def _check_named(options: AuditOptions, paired: Paired, near: ReadRecording, far: ReadRecording) -> None:
+    pairs = {topic.name for pair in paired.pairs for topic in (pair.near, pair.far)}
+    alone = {topic.name for topic in (*paired.only_near, *paired.only_far)}
+    others = {name for side in (near, far) for name in (*side.calls, *side.goals)}
+    for option, patterns, names in (
+        ("--topic", options.topics, pairs | alone | others),
+        ("--back", options.back, pairs),
+        ("--forth", options.forth, pairs),
+    ):
+        for pattern in patterns:
+            if not any(pattern.match(name) is not None for name in names):
+                raise PairError(PairText.NO_TOPIC(option=option, pattern=pattern.text))
 
 
 def _calls(recording: ReadRecording, side: str, patterns: Sequence[Pattern]) -> Iterator[AuditedCalls]:

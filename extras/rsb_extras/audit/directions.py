@@ -25,8 +25,8 @@ _FEWEST_DELAYS = 20  # messages of which it can be told which end of their delay
 _CLEARLY = 3  # times as many, or as long. A round figure
 
 Way = Literal["to_far", "to_near"]
-WayBy = Literal["option", "delays", "alone", "clocks", "assumed"]
-"""Sources of a topic's way: the user; delays, whose late end is long; messages that only the sending side has;
+WayBy = Literal["option", "alone", "delays", "clocks", "assumed"]
+"""Sources of a topic's way: the user; messages that only the sending side has; delays, whose late end is long;
 clocks that other topics tell, or the user; or nothing."""
 OffsetBy = Literal["option", "two_ways", "least_age", "assumed"]
 
@@ -87,17 +87,18 @@ def directions(
     rough = offset if offset is not None else median_low(known) if known else 0
     # Where a recording begins or ends, the other one has messages alone.
     covered = max(near.first, far.first - rough) + SECOND, min(near.last, far.last - rough) - SECOND
+    given = None if offset is None else Clocks(offset, "option")
     told = [
-        _by_option(pair, back, forth) or _by_delays(each) or _by_alone(database, pair, rough, covered)
+        _by_option(pair, back, forth)
+        or (given and each and _by_clocks(each, given))
+        or _by_alone(database, pair, rough, covered)
+        or _by_delays(each)
         for pair, each in zip(pairs, differences, strict=True)
     ]
 
-    def compared(ways: Sequence[Direction | None]) -> Clocks:
-        return Clocks(offset, "option") if offset is not None else _clocks(ways, differences)
-
-    clocks = compared(told)
+    clocks = given or _clocks(told, differences)
     ways = [way or _by_clocks(each, clocks) for way, each in zip(told, differences, strict=True)]
-    return ways, compared(ways)
+    return ways, given or _clocks(ways, differences)
 
 
 def _by_option(pair: TopicPair, back: Iterable[Pattern], forth: Iterable[Pattern]) -> Direction | None:

@@ -21,18 +21,23 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
 _PIECE = 200_000  # equal messages that are compared at once: some 40 MB
-_TABLES = {"pair": "sender, source, sink, alike", "missing": "time", "surplus": "time, sent, alike"}
+_TABLES = {"pair": "sender, source, sink, alike", "missing": "time, alike", "surplus": "time, sent, alike"}
 """Tables of one topic's matches: messages that crossed, those that did not come, and those that came without one that
-was sent."""
+was sent. `alike` is 0 for a message that no other equals, `_IN_ORDER` or `_NEWEST` for others."""
+_IN_ORDER, _NEWEST = 1, 2
+_BEFORE = 1_000_000_000
+"""ns by which a message may come before it was sent, by clocks that were set meanwhile. A round figure."""
+_EQUAL_BEFORE = 20_000_000  # the same for one of several equal messages, of which another may be meant
 _Row: TypeAlias = tuple[int, int, int, int, int]
 """Key, time, sender, whether it is of the receiving side, and its place among equal ones."""
 
 
-def match_messages(database: sqlite3.Connection, tolerance: int) -> tuple[int, int]:
+def match_messages(database: sqlite3.Connection, tolerance: int, *, is_latched: bool) -> tuple[int, int]:
     """Match the messages of the views `source` and `sink`, and fill the tables `pair`, `missing` and `surplus`.
 
     Args:
         tolerance: ns by which a message may come before it was sent, by the two clocks.
+        is_latched: a recorder may get a message late, and more than once.
 
     Returns:
         How many have a match, and how many of these are equal to others, so that their order decided.
@@ -45,7 +50,7 @@ def match_messages(database: sqlite3.Connection, tolerance: int) -> tuple[int, i
         " UNION ALL SELECT key, time, sender, 1, time + ? FROM sink ORDER BY key, place, came",
         (tolerance,),
     )
-    matches = _Matches(database)
+    matches = _Matches(database, is_latched=is_latched)
     for _, equal in groupby(rows, key=itemgetter(0)):
         matches.add(equal)
     matches.write()
@@ -55,13 +60,14 @@ def match_messages(database: sqlite3.Connection, tolerance: int) -> tuple[int, i
 class _Matches:
     """Writes the matches of one topic to their tables."""
 
-    def __init__(self, database: sqlite3.Connection) -> None:
+    def __init__(self, database: sqlite3.Connection, *, is_latched: bool) -> None:
         self.matched = 0
         self.by_order = 0
         self._database = database
-        self._pair: list[tuple[int, int, int, bool]] = []
-        self._missing: list[tuple[int]] = []
-        self._surplus: list[tuple[int, bool, bool]] = []
+        self._is_latched = is_latched
+        self._pair: list[tuple[int, int, int, int]] = []
+        self._missing: list[tuple[int, int]] = []
+        self._surplus: list[tuple[int, bool, int]] = []
 
     def add(self, equal: Iterator[_Row]) -> None:
         """Match equal messages of both sides, which come in the order of their times."""
@@ -70,18 +76,29 @@ class _Matches:
         sinks = [row for row in rows if row[3]]
         if len(rows) == _PIECE:
             self._match_newest(chain(rows, equal))
-        elif len(sources) == len(sinks):
-            self._cross(zip(sources, sinks, strict=True), alike=len(sources) > 1)
         elif not sinks:
-            self._missing += [(row[1],) for row in sources]
+            self._missing += [(row[1], int(len(sources) > 1)) for row in sources]
         elif not sources:
-            self._surplus += [(row[1], False, False) for row in sinks]
-        elif len(sources) == 1:
-            self._cross([(sources[0], sinks[0])], alike=False)
-            self._surplus += [(row[1], True, False) for row in sinks[1:]]
+            self._surplus += [(row[1], False, 0) for row in sinks]
+        elif self._is_latched:
+            self._cross(zip(sources, sinks, strict=False), alike=int(len(rows) > 2))
+            self._surplus += [(row[1], True, 0) for row in sinks[len(sources) :]]
+        else:
+            # What came before all that were sent was sent before its sender's recording began.
+            begin = sources[0][1] - (_BEFORE if len(rows) == 2 else _EQUAL_BEFORE)
+            self._surplus += [(row[1], False, 0) for row in sinks if row[1] < begin]
+            self._match([row for row in rows if not row[3] or row[1] >= begin], sources)
+        self._write_if_full()
+
+    def _match(self, rows: list[_Row], sources: list[_Row]) -> None:
+        sinks = [row for row in rows if row[3]]
+        if len(sources) == len(sinks):
+            self._cross(zip(sources, sinks, strict=True), alike=_IN_ORDER if len(sources) > 1 else 0)
+        elif len(sources) == 1 and sinks:
+            self._cross([(sources[0], sinks[0])], alike=0)
+            self._surplus += [(row[1], True, 0) for row in sinks[1:]]
         else:
             self._match_newest(rows)
-        self._write_if_full()
 
     def write(self) -> None:
         for table, rows in (("pair", self._pair), ("missing", self._missing), ("surplus", self._surplus)):
@@ -91,7 +108,7 @@ class _Matches:
         if len(self._pair) + len(self._missing) + len(self._surplus) > ROWS_HELD:
             self.write()
 
-    def _cross(self, pairs: Iterable[tuple[_Row, _Row]], *, alike: bool) -> None:
+    def _cross(self, pairs: Iterable[tuple[_Row, _Row]], *, alike: int) -> None:
         before = len(self._pair)
         self._pair += [(source[2], source[1], sink[1], alike) for source, sink in pairs]
         self.matched += len(self._pair) - before
@@ -107,11 +124,11 @@ class _Matches:
                 was_sent = True
                 waiting.append(row)
                 if len(waiting) == _PIECE:
-                    self._missing += [(each[1],) for each in waiting[: _PIECE // 2]]
+                    self._missing += [(each[1], _NEWEST) for each in waiting[: _PIECE // 2]]
                     del waiting[: _PIECE // 2]
             elif waiting:
-                self._cross([(waiting.pop(), row)], alike=True)
+                self._cross([(waiting.pop(), row)], alike=_NEWEST)
             else:
-                self._surplus.append((row[1], was_sent, True))
+                self._surplus.append((row[1], was_sent, _NEWEST))
             self._write_if_full()
-        self._missing += [(row[1],) for row in waiting]
+        self._missing += [(row[1], _NEWEST) for row in waiting]

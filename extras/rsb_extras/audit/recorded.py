@@ -7,7 +7,7 @@ recording; the disk holds about 30 bytes a message.
 from __future__ import annotations
 
 import hashlib
-import os
+import re
 import sqlite3
 import struct
 import zlib
@@ -32,6 +32,8 @@ _LATEST = (1 << 62) - 1  # ns; later times of a damaged file would not fit into 
 _LONGEST = 1 << 30
 """Bytes of one record, chunks included. A round figure: rosbag2 writes chunks of less than 1 MB, and a message is at
 most as long as memory allows."""
+_SKIPPED = 1 << 20  # bytes that are read at once of what does not count
+_NUMBER = re.compile(r"(.+)_\d+\.mcap")  # of the files of a split bag
 _CACHE = 16 << 10
 """KiB that the database keeps in memory, and that each of up to four sorts takes. 64 MiB were no faster for 10 million
 messages."""
@@ -48,6 +50,7 @@ class UnreadableRecording(Wording):
     NOT_THERE = "{path} cannot be read: {reason}"
     NO_MCAP = "{path} is no MCAP file: record with `ros2 bag record --storage mcap`, or convert it"
     NO_MCAP_WITHIN = "{path} has no file *.mcap: record with `ros2 bag record --storage mcap`, or convert it"
+    SEVERAL = "{path} has recordings of several names: give one of its files"
     COMPRESSED = "{path} is compressed as a whole: unpack it with `zstd -d`"
     EMPTY = "{path} has no message{cut}"
     NO_ROOM = "the folder for temporary files cannot hold the audit ({reason}): set TMPDIR to one with more room"
@@ -142,7 +145,7 @@ def read_recording(path: Path, side: str, database: sqlite3.Connection) -> ReadR
             with file.open("rb") as opened:
                 cut = _read(opened, file, rows)
         except OSError as error:
-            raise RecordingError(UnreadableRecording.NOT_THERE(path=file, reason=error.strerror)) from None
+            raise RecordingError(UnreadableRecording.NOT_THERE(path=file, reason=error.strerror or error)) from None
         if cut:
             recording.cut = cut if file == path else f"{file.name}: {cut}"
     rows.write()
@@ -188,13 +191,21 @@ def _policy(known: dict[object, bool], value: object) -> bool | None:
 
 
 def _files_of(path: Path) -> list[Path]:
-    if not path.is_dir():
-        return [path]
-    files = sorted(path.glob("*.mcap"))
-    if not files:
-        text = UnreadableRecording.COMPRESSED if any(path.glob("*.mcap.zstd")) else UnreadableRecording.NO_MCAP_WITHIN
-        raise RecordingError(text(path=path))
-    return files
+    try:
+        if not path.is_dir():
+            return [path]
+        names = [each.name for each in path.iterdir()]
+    except OSError as error:
+        raise RecordingError(UnreadableRecording.NOT_THERE(path=path, reason=error.strerror)) from None
+    if any(name.endswith(".mcap.zstd") for name in names):
+        raise RecordingError(UnreadableRecording.COMPRESSED(path=path))
+    found = [name for name in names if name.endswith(".mcap")]
+    if not found:
+        raise RecordingError(UnreadableRecording.NO_MCAP_WITHIN(path=path))
+    numbered = {name: _NUMBER.fullmatch(name) for name in found}
+    if len({match[1] if match else name for name, match in numbered.items()}) > 1:
+        raise RecordingError(UnreadableRecording.SEVERAL(path=path))
+    return [path / name for name in sorted(found, key=lambda name: (len(name), name))]  # _10 behind _9
 
 
 def _read(opened: IO[bytes], path: Path, rows: _Rows) -> str:
@@ -233,7 +244,8 @@ def _records(opened: IO[bytes]) -> Iterator[tuple[int, bytes]]:
         if length > _LONGEST:
             raise OverflowError
         if kind not in (_SCHEMA, _CHANNEL, _IS_MESSAGE, _CHUNK):
-            opened.seek(length, os.SEEK_CUR)
+            while length and (skipped := opened.read(min(length, _SKIPPED))):  # a pipe cannot seek
+                length -= len(skipped)
             continue
         record = opened.read(length)
         if len(record) < length:

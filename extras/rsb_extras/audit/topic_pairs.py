@@ -25,7 +25,7 @@ class PairText(Wording):
     NOT_IN_NEAR = "--pair {near}={far}: {path} has no topic {near}"
     NOT_IN_FAR = "--pair {near}={far}: {path} has no topic {far}"
     TYPES = "--pair {near}={far}: their types are {near_type} and {far_type}"
-    NO_TOPIC = "--topic {pattern}: neither recording has such a topic"
+    NO_TOPIC = "{option} {pattern}: the recordings have no such topic"
 
 
 class PairError(ValueError):

@@ -92,13 +92,13 @@ class Progress:
 def bench(arguments: Namespace) -> int:
     """Measure and print the results. Return the exit code."""
     here = arguments.bridge is None and arguments.control is None and arguments.way is None
-    problems = (
-        _misplaced(arguments, here=here),
-        _file_problem(arguments.plot, ".svg"),
-        _file_problem(arguments.record, ".mcap"),
-        _overwritten(arguments.record),
+    problem = (
+        _misplaced(arguments, here=here)
+        or _file_problem(arguments.plot, ".svg")
+        or _file_problem(arguments.record, ".mcap")
+        or _overwritten(arguments.record)
     )
-    if problem := next(filter(None, problems), ""):
+    if problem:
         return failed(arguments, problem, USAGE)
     try:
         return _on_this_machine(arguments) if here else _over_link(arguments)
@@ -112,9 +112,12 @@ def _file_problem(path: Path | None, suffix: str) -> str:
         return ""
     if path.suffix.lower() != suffix:
         return f"{path}: choose a name that ends in {suffix}"
-    if path.is_dir():
-        return f"{path}: this is a folder"
-    return "" if path.parent.is_dir() else f"{path}: there is no such folder"
+    try:
+        if path.is_dir():
+            return f"{path}: this is a folder"
+        return "" if path.parent.is_dir() else f"{path}: there is no such folder"
+    except OSError as error:  # its name is too long, for example
+        return f"{path}: {error.strerror}"
 
 
 def _overwritten(path: Path | None) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sqlite3
 import struct
+import subprocess
 import sys
 import tracemalloc
 from collections.abc import Callable
@@ -478,3 +479,62 @@ def test_name_with_two_types_is_two_topics(sides: Sides, audited: Run) -> None:
 
 def test_anchors_of_a_profile_are_not_followed() -> None:
     assert offers_of("- &one {reliability: reliable}\n- *one\n") == []
+
+
+def test_files_of_a_split_bag_are_read_by_their_numbers(tmp_path: Path, sides: Sides, ran: Any) -> None:
+    (tmp_path / "bag").mkdir()
+    for number in range(11):
+        part = Written(tmp_path / f"bag/bag_{number}.mcap")
+        part.add(part.topic("/scan"), float(number), number)
+        if number >= 9:
+            part.add(part.topic("/add/_service_event"), number + 0.5, event(0 if number == 9 else 3, 1))
+        part.done()
+    sides.far.spans(12)
+    sides.far.done()
+    found = json.loads(ran("audit", str(tmp_path / "bag"), str(sides.far.path), "--overlap", "--json").out)
+    assert [(each["asked"], each["unanswered"]) for each in found["calls"]] == [(1, 0)]
+
+
+@pytest.mark.parametrize(
+    ("names", "problem"),
+    [
+        (("bag_0.mcap.zstd", "bag_1.mcap"), UnreadableRecording.COMPRESSED),
+        (("near.mcap", "far.mcap"), UnreadableRecording.SEVERAL),
+    ],
+)
+def test_folder_that_is_no_whole_bag_is_refused(
+    names: tuple[str, ...], problem: Any, tmp_path: Path, ran: Any, sides: Sides
+) -> None:
+    sides.spans(15)
+    sides.near.done()
+    (tmp_path / "bag").mkdir()
+    for name in names:
+        (tmp_path / "bag" / name).write_bytes(sides.near.path.read_bytes())
+    done = ran("audit", str(tmp_path / "bag"), str(sides.near.path))
+    assert (done.code, says(done.err, problem)) == (2, True)
+
+
+@pytest.mark.parametrize("option", ["--back", "--forth"])
+def test_way_of_a_topic_that_is_not_there_is_refused(option: str, sides: Sides, ran: Any) -> None:
+    sides.spans(15)
+    sides.near.done()
+    sides.far.done()
+    done = ran("audit", str(sides.near.path), str(sides.far.path), option, "/scam")
+    assert (done.code, says(done.err, PairText.NO_TOPIC, option=option, pattern="/scam")) == (2, True)
+
+
+def test_any_length_of_a_silence_is_taken(sides: Sides, audited: Run) -> None:
+    sides.spans(15)
+    sides.stream(sides.topic("/scan"))
+    assert audited("--gap", "1e300").code == 0
+
+
+def test_recordings_may_come_by_a_pipe(sides: Sides, ran: Any) -> None:
+    sides.spans(15)
+    sides.stream(sides.topic("/scan"))
+    sides.near.done()
+    sides.far.done()
+    with subprocess.Popen(["cat", sides.near.path], stdout=subprocess.PIPE) as piped:
+        assert piped.stdout is not None
+        done = ran("audit", f"/dev/fd/{piped.stdout.fileno()}", str(sides.far.path), "--json")
+    assert (done.code, json.loads(done.out)["topics"][0]["matched"]) == (0, 100)

@@ -433,3 +433,76 @@ def test_content_differs_by_any_bit() -> None:
         other[at] ^= 1
         keys.add(content_key(memoryview(other), is_cdr=True))
     assert len(keys) == len(base) - 1
+
+
+# --- what once let a loss pass, or made one up
+
+
+def test_only_a_sender_has_messages_alone_whatever_delays_say(sides: Sides, audited: Run) -> None:
+    """NEAR's recorder is late for some messages, so that their differences have a long end on the wrong side."""
+    sides.spans(15)
+    topic = sides.topic("/scan")
+    for number in range(100):
+        sides.near.add(topic, 2 + number * 0.1 + (0.05 if number % 20 == 0 else 0), number)
+        if number not in (30, 40, 50):
+            sides.far.add(topic, 2.055 + number * 0.1, number)
+    found = audited()
+    assert (found["/scan"]["way"], found["/scan"]["way_by"], found["/scan"]["lost"]) == ("to_far", "alone", 3)
+
+
+def test_messages_that_only_their_sender_covers_are_shown(sides: Sides, audited: Run) -> None:
+    topic = sides.topic("/scan")
+    for number in range(300):
+        sides.near.add(topic, number * 0.1, number)
+        if 90 <= number < 210:
+            sides.far.add(topic, number * 0.1 + 0.02, number)
+    found = audited()
+    assert (found["/scan"]["lost"], found["/scan"]["outside"], found.code) == (0, 180, 0)
+
+
+def test_late_messages_of_an_outage_excuse_no_dead_bridge(sides: Sides, audited: Run) -> None:
+    sides.spans(120)
+    topic = sides.topic("/scan")
+    for number in range(1000):
+        at = 1 + number * 0.1
+        sides.near.add(topic, at, number)
+        if at < 60:
+            sides.far.add(topic, max(at, 50) + 0.02, number)
+    found = audited()
+    assert found["/scan"]["age_p99"] > 40
+    assert (found["/scan"]["lost"], found["/scan"]["undecided"]) == (410, 0)
+
+
+def test_equal_message_that_is_lost_is_not_early(sides: Sides, audited: Run) -> None:
+    sides.spans(60)
+    topic = sides.topic("/alive")
+    for number in range(100):
+        sides.near.add(topic, 2 + number * 0.5, 7)
+        if number != 50:
+            sides.far.add(topic, 2.05 + number * 0.5, 7)
+    found = audited("--offset", "0")
+    assert (found["/alive"]["lost"], found["/alive"]["early"], found["/alive"]["by_order"]) == (1, 0, 99)
+
+
+def test_value_that_one_recording_has_from_before_is_another_message(sides: Sides, audited: Run) -> None:
+    """FAR's recorder began first, and has the value 1 when NEAR's does not."""
+    sides.near.spans(60)
+    sides.far.spans(60)
+    topic = sides.topic("/mode")
+    sides.far.add(topic, 5.0, 1)
+    for at, number in ((10.0, 2), (20.0, 3), (30.0, 1)):
+        sides.near.add(topic, at, number)
+        sides.far.add(topic, at + 0.02, number)
+    found = audited("--offset", "0", "--forth", "/mode")
+    assert (found["/mode"]["lost"], found["/mode"]["doubled"], found["/mode"]["disordered"]) == (0, 0, 0)
+    assert found.code == 0
+
+
+def test_latched_message_that_a_recorder_got_twice_has_crossed(sides: Sides, audited: Run) -> None:
+    sides.spans(15)
+    topic = sides.topic("/map", durability=LATCHED)
+    sides.far.add(topic, 1.0, 1)
+    for at in (3.0, 3.1):
+        sides.near.add(topic, at, 1)
+    found = audited("--offset", "0", "--forth", "/map")
+    assert (found["/map"]["lost"], found["/map"]["nothing_common"], found.code) == (0, False, 0)
