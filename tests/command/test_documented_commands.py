@@ -236,7 +236,7 @@ def prepare(line: str) -> None:
         from rsb_extras.audit.tests.written import write_sides
 
         near, far = line.split()[1:3]
-        write_sides(near, far, ("/scan", "/robots/r1/scan", "/camera/image", "/cmd_vel"))
+        write_sides(near, far, ("/scan", "/robots/r1/scan", "/camera/image", "/cmd_vel", "/tf"))
 
 
 def run(line: str) -> int:
