@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).parents[1]
 FIGURES = ROOT / "docs/figures"
-PICTURE = ROOT / "docs/pictures/beside.svg"
+PICTURE = FIGURES / "beside.svg"
 TOPIC = "/joint_states"
 _NAMES = {"zenoh-bridge": "zenoh-bridge-ros2dds", "tcp": "rsb-console, TCP", "udp": "rsb-console, UDP"}
 _NAMES |= {"zenoh": "rsb-console, Zenoh", "bbr": "BBR"}

@@ -10,5 +10,5 @@ DOCS = Path(__file__).parents[2] / "docs"
 
 def test_picture_is_up_to_date() -> None:
     drawn = runpy.run_path(str(DOCS / "plots.py"))["drawn"]()
-    assert (DOCS / "pictures/beside.svg").read_text(encoding="utf-8") == drawn, "make plots"
+    assert (DOCS / "figures/beside.svg").read_text(encoding="utf-8") == drawn, "make plots"
     assert drawn.count("<circle") == 7  # a bridge each
