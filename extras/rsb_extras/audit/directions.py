@@ -124,8 +124,10 @@ def _by_alone(database: sqlite3.Connection, pair: TopicPair, offset: int, covere
     found = "SELECT max(first) FROM (SELECT min(time) AS first FROM near UNION ALL SELECT min(time) FROM far)"
     begin = max(covered[0], (database.execute(found).fetchone()[0] or 0) + SECOND)
     near, far = database.execute(
-        "SELECT (SELECT count(*) FROM near WHERE time BETWEEN ?1 AND ?2 AND key NOT IN (SELECT key FROM far)),"
-        " (SELECT count(*) FROM far WHERE time BETWEEN ?1 AND ?2 AND key NOT IN (SELECT key FROM near))",
+        "SELECT (SELECT count(*) FROM near WHERE time BETWEEN ?1 AND ?2"
+        " AND NOT EXISTS (SELECT * FROM far WHERE far.key = near.key)),"
+        " (SELECT count(*) FROM far WHERE time BETWEEN ?1 AND ?2"
+        " AND NOT EXISTS (SELECT * FROM near WHERE near.key = far.key))",
         (begin, covered[1]),
     ).fetchone()
     if near > _CLEARLY * far:
