@@ -10,7 +10,7 @@ import msgspec
 from rsb_extras.audit.audited_topic import IN_FLIGHT, OPENING, Audit, AuditedTopic
 from rsb_extras.audit.directions import SECOND, OffsetBy, directions
 from rsb_extras.audit.recorded import new_database, read_recording
-from rsb_extras.audit.topic_pairs import PairError, PairText, pair_topics
+from rsb_extras.audit.topic_pairs import PairError, PairText, is_named, pair_topics
 from rsb_extras.audit.unanswered import CALL_TIME, GOAL_STATUS
 
 if TYPE_CHECKING:
@@ -171,13 +171,13 @@ def _check_named(options: AuditOptions, paired: Paired, near: ReadRecording, far
         ("--forth", options.forth, pairs),
     ):
         for pattern in patterns:
-            if not any(pattern.match(name) is not None for name in names):
+            if not is_named([pattern], *names):
                 raise PairError(PairText.NO_TOPIC(option=option, pattern=pattern.text))
 
 
 def _calls(recording: ReadRecording, side: str, patterns: Sequence[Pattern]) -> Iterator[AuditedCalls]:
     for service, calls in sorted(recording.calls.items()):
-        if patterns and not any(pattern.match(service) is not None for pattern in patterns):
+        if patterns and not is_named(patterns, service):
             continue
         unanswered = calls.unanswered(recording.last - CALL_TIME)
         for seen_by, asked in calls.asked.items():
@@ -224,15 +224,14 @@ def _facts(recording: ReadRecording) -> RecordingFacts:
 
 
 def _topic_breaches(topics: Iterable[AuditedTopic], paired: Paired, options: AuditOptions) -> Iterator[Breach]:
-    def is_named(*names: str) -> bool:
-        return any(pattern.match(name) is not None for pattern in options.topics for name in names)
-
     for result in topics:
         yield from (Breach(kind, result.topic, count) for kind, count in result.breaches())
-        if result.nothing_common and (result.paired_by == "option" or is_named(result.topic, result.far_topic)):
+        if result.nothing_common and (
+            result.paired_by == "option" or is_named(options.topics, result.topic, result.far_topic)
+        ):
             yield Breach("not_crossed", result.topic, result.near if result.way == "to_far" else result.far)
     for topic in (*paired.only_near, *paired.only_far):
-        if is_named(topic.name):
+        if is_named(options.topics, topic.name):
             yield Breach("not_crossed", topic.name, topic.messages)
 
 

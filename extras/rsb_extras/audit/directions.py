@@ -11,6 +11,7 @@ from statistics import median_low
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from rsb_extras.audit.recorded import view
+from rsb_extras.audit.topic_pairs import is_named
 
 if TYPE_CHECKING:
     import sqlite3
@@ -95,7 +96,6 @@ def directions(
         or _by_delays(each)
         for pair, each in zip(pairs, differences, strict=True)
     ]
-
     clocks = given or _clocks(told, differences)
     ways = [way or _by_clocks(each, clocks) for way, each in zip(told, differences, strict=True)]
     return ways, given or _clocks(ways, differences)
@@ -104,7 +104,7 @@ def directions(
 def _by_option(pair: TopicPair, back: Iterable[Pattern], forth: Iterable[Pattern]) -> Direction | None:
     ways: tuple[tuple[Way, Iterable[Pattern]], ...] = (("to_near", back), ("to_far", forth))
     for way, patterns in ways:
-        if any(pattern.match(name) is not None for pattern in patterns for name in (pair.near.name, pair.far.name)):
+        if is_named(patterns, pair.near.name, pair.far.name):
             return Direction(way, "option")
     return None
 

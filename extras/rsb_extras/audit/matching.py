@@ -77,20 +77,21 @@ class _Matches:
         if len(rows) == _PIECE:
             self._match_newest(chain(rows, equal))
         elif not sinks:
-            self._missing += [(row[1], int(len(sources) > 1)) for row in sources]
+            self._missing += [(row[1], _IN_ORDER if len(sources) > 1 else 0) for row in sources]
         elif not sources:
             self._surplus += [(row[1], False, 0) for row in sinks]
         elif self._is_latched:
-            self._cross(zip(sources, sinks, strict=False), alike=int(len(rows) > 2))
+            self._cross(zip(sources, sinks, strict=False), alike=_IN_ORDER if len(rows) > 2 else 0)
             self._surplus += [(row[1], True, 0) for row in sinks[len(sources) :]]
         else:
             # What came before all that were sent was sent before its sender's recording began.
             begin = sources[0][1] - (_BEFORE if len(rows) == 2 else _EQUAL_BEFORE)
             self._surplus += [(row[1], False, 0) for row in sinks if row[1] < begin]
-            self._match([row for row in rows if not row[3] or row[1] >= begin], sources)
+            self._match(sources, [row for row in rows if not row[3] or row[1] >= begin])
         self._write_if_full()
 
-    def _match(self, rows: list[_Row], sources: list[_Row]) -> None:
+    def _match(self, sources: list[_Row], rows: list[_Row]) -> None:
+        """Match equal messages; `rows` are those of both sides in their order."""
         sinks = [row for row in rows if row[3]]
         if len(sources) == len(sinks):
             self._cross(zip(sources, sinks, strict=True), alike=_IN_ORDER if len(sources) > 1 else 0)

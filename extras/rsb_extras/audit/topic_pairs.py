@@ -46,6 +46,11 @@ class Paired(NamedTuple):
     only_far: list[TopicRows]
 
 
+def is_named(patterns: Iterable[Pattern], *names: str) -> bool:
+    """Whether any of a topic's names matches any of the patterns."""
+    return any(pattern.match(name) is not None for pattern in patterns for name in names)
+
+
 def pair_topics(
     near: ReadRecording, far: ReadRecording, named: Iterable[tuple[str, str]], patterns: Sequence[Pattern]
 ) -> Paired:
@@ -70,7 +75,7 @@ def pair_topics(
     pairs += [TopicPair(left.pop(a), right.pop(b), "prefix") for a, b in _by_prefix(left, right)]
 
     def counts(*names: str) -> bool:
-        return not patterns or any(pattern.match(name) is not None for name in names for pattern in patterns)
+        return not patterns or is_named(patterns, *names)
 
     return Paired(
         sorted(
