@@ -109,8 +109,8 @@ class ServiceJourneys(CallHarness):
         await asyncio.sleep(_SETTLED_AFTER)
         asking, _ = self.halves()
         with _counting("snapshot of a service, callers' side"):
-            asking.snapshot()
-        await _command("pause of a service", self.near, PauseTopics(asking.key, True))
+            asking.route.snapshot()
+        await _command("pause of a service", self.near, PauseTopics(asking.route.key, True))
 
 
 def main() -> None:

@@ -41,7 +41,7 @@ ROUNDS, TOPICS, FEW = 3, 500, 4
 LOOKS = 4.0
 """Hz at which a console asks for the snapshot."""
 _SETTLES, _SECONDS = 140.0, 10.0
-"""s until routes rest (`rsb_bridge.route.topic_route.Idling`), and s of a measurement."""
+"""s until routes rest (`rsb_bridge.route.idling.Idling`), and s of a measurement."""
 _OPEN_WITHIN = 120.0
 _SIZE = 100
 _Figures: TypeAlias = "dict[str, list[list[dict[str, float]]]]"

@@ -24,7 +24,7 @@ from rsb_bridge.model.calls import FIELDS_LENGTH
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.commands import OWN_CONSOLE
 from rsb_bridge.model.session import Topic
-from rsb_bridge.route.calls.calling import LandedText
+from rsb_bridge.route.calls.asked_calls import LandedText
 
 if TYPE_CHECKING:
     from collections.abc import Callable

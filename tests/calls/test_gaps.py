@@ -113,12 +113,17 @@ class _Hesitant(FibonacciServer):
 
 
 def test_results_are_asked_for_in_turn(bridge: Bridge, robot: Domain, client: FibonacciClient) -> None:
-    """The providing side's bridge is a new one, which asks for all of them at once."""
+    """The providing side's bridge is a new one, and clients ask it for all of them at once."""
     with closing(_Hesitant(robot.id, result_timeout=180.0)) as server:
         _, provider = bridge.both(FIBONACCI)
-        goals = [client.send(number).ask() for number in range(30)]
+        goals = [client.send(number) for number in range(30)]
+        assert all(goal.handle().accepted for goal in goals)
         provider.stop()
+        eventually(lambda: not client.ready)
         successor = bridge.client(FIBONACCI)
+        eventually(lambda: client.ready)
+        for goal in goals:
+            goal.ask()
         eventually(lambda: sum(each.result_awaited for each in route(successor, ACTION).goals) == len(goals))
         for number in range(len(goals)):  # one after the other: the client keeps ten answers
             server.run(number)

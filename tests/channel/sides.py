@@ -137,7 +137,7 @@ class Side:
     def carry(self, *numbers: int) -> None:
         for number in numbers:
             self.routes[number].channel = stream_channel(self.pair, self.routes[number])
-        self.pair.resume()
+        self.pair.take_held()
 
     def in_transit(self) -> int:
         return self.scheduler.sent - self.scheduler.acknowledged

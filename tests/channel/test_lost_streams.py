@@ -68,9 +68,9 @@ async def reopen(*sides: Side, names: tuple[str, ...] = ("small", "large")) -> N
     for name in names:
         number, ends = next(_NUMBERS), await by_sockets()
         for side, stream in zip(sides, ends, strict=True):
-            side.pair.cut(stream_of(side, name), Reason("replaced", EndCode.BROKE))
+            side.pair.lose(stream_of(side, name), Reason("replaced", EndCode.BROKE))
             stream.handler = side.pair.add(stream, number, small=name == "small", large=name == "large")
-            side.pair.go_on()
+            side.pair.resume_routes()
 
 
 def stream_of(side: Side, name: str) -> DataStream:
@@ -82,7 +82,7 @@ def stream_of(side: Side, name: str) -> DataStream:
 @pytest.mark.parametrize("resends", [True, False])
 @pytest.mark.parametrize("cut_by", [0, 1])
 @pytest.mark.parametrize(("name", "size"), [("small", 2_000), ("large", LARGE), ("large", 1 << 20)])
-async def test_route_goes_on_in_order(name: str, size: int, cut_by: int, resends: bool) -> None:
+async def test_route_resumes_in_order(name: str, size: int, cut_by: int, resends: bool) -> None:
     """Three times, amid messages, and noticed by either side first. What is not sent again is counted."""
     async with connected(Route(1, outgoing=True), Route(2, outgoing=True)) as sides:
         near, far = sides
@@ -119,10 +119,10 @@ async def test_route_survives_loss_of_its_new_stream() -> None:
         others.send(1)  # a stream on which nothing got through would be given up
         await until(others.all_known)
         await far.acknowledges_all()
-        far.pair.cut(stream_of(far, "large"), CUT)
+        far.pair.lose(stream_of(far, "large"), CUT)
         numbers.send(1)
         await until(lambda: far.routes[1].channel.uses(stream_of(far, "large")))
-        assert far.routes[1].channel.is_cut
+        assert far.routes[1].channel.is_suspended
         await reopen(near, far, names=("large",))
         numbers.send(3)
         await far.ticks_until(numbers.all_known)
@@ -269,11 +269,11 @@ async def test_lost_large_stream_spares_routes_of_small_one() -> None:
     async with connected(Route(1, outgoing=True), Route(3, outgoing=True)) as (near, far):
         near.routes[3].send(bytes(LARGE))
         await far.acknowledges_all()
-        far.pair.cut(stream_of(far, "small"), CUT)
+        far.pair.lose(stream_of(far, "small"), CUT)
         await reopen(near, far, names=("large",))
-        far.pair.cut(stream_of(far, "large"), CUT)
+        far.pair.lose(stream_of(far, "large"), CUT)
         await until(lambda: near.pair.lacks()[1])
-        near.pair.cut(stream_of(near, "small"), CUT)
+        near.pair.lose(stream_of(near, "small"), CUT)
         await reopen(near, far)
         assert not any(route.lost for side in (near, far) for route in side.routes.values())
 
@@ -290,7 +290,7 @@ async def test_waiting_messages_avoid_stream_that_ends_too() -> None:
             route.flush()
         large = stream_of(near, "large")
         before = large.sent
-        near.pair.cut(stream_of(near, "small"), CUT)
+        near.pair.lose(stream_of(near, "small"), CUT)
         assert large.sent == before
 
 
@@ -306,7 +306,7 @@ async def test_streams_that_do_not_come_are_given_up() -> None:
 
 
 @pytest.mark.parametrize("breach", ["against the route", "too many", "an earlier one"])
-async def test_peer_that_goes_on_wrongly_loses_stream(breach: str) -> None:
+async def test_peer_that_resumes_wrongly_loses_stream(breach: str) -> None:
     async with connected(Route(1, outgoing=True)) as (near, far):
         role: Role = "server" if breach == "against the route" else "client"
         keys = session_keys(CipherSuite.AESGCM, bytes(range(32)), routes=(1,))

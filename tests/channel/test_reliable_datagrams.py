@@ -122,7 +122,7 @@ async def test_messages_wait_for_a_path(seconds: float) -> None:
 
 
 @pytest.mark.parametrize("whole", [False, True])
-async def test_route_goes_on_with_other_keys(whole: bool) -> None:
+async def test_route_resumes_with_other_keys(whole: bool) -> None:
     """After the link's loss, small messages and one in pieces go on over the next connection's UDP channel."""
     radio = Radio(2.5e6, delay=0.02)
     expected = [message(number, size) for number, size in enumerate((10, 10, 60_000, 10, 10))]
@@ -140,7 +140,7 @@ async def test_route_goes_on_with_other_keys(whole: bool) -> None:
         sockets = [RadioSocket(radio, way, 1_000_000) for way in (0, 1)]
         for side, _ in ends:
             keys = SessionKeys(CipherSuite.AESGCM, export, b"link two")
-            keys.resume((1,))
+            keys.resumed((1,))
             side.keys = DataKeys(keys, side.keys.role, Budget(64 << 20))
             side.probe = PathProbe(side.keys)
         channels = [RadioChannel(air, side) for air, (side, _) in zip(sockets, ends, strict=True)]
@@ -148,7 +148,7 @@ async def test_route_goes_on_with_other_keys(whole: bool) -> None:
             here.air.far = there
         for (side, end), opened in reversed([*zip(ends, channels, strict=True)]):
             assert end.ready
-            end.go_on(opened, side.keys)
+            end.resume(opened, side.keys)
             # What is published before the new path is found waits for it.
             opened.ready = False
             assert (end.ready, end.trouble()) == (True, Verdict(State.WAITING, Cause.AWAITS_LINK, REOPENS))

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from rsb_bridge.channel.scheduler import SendingChannel
 from rsb_bridge.config.session_changes import kept
 from rsb_bridge.config.session_file import SessionError, dump, parse
 from rsb_bridge.link.proposals import proposal_of
@@ -15,10 +16,12 @@ from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.model.transports import NO_PROFILE, PROFILES, LinkProfile, profile_of
 from rsb_bridge.route.catching_up import Backlog
+from rsb_bridge.route.half import Carried
 from rsb_bridge.route.ledger import RouteLedger
 from rsb_bridge.route.peer import PeerBudget
 from rsb_bridge.route.rate_limit import RateLimit
 from rsb_bridge.route.sending import Outbox, QueueLimits
+from rsb_bridge.route.topic_flow import AgreedEnd
 from rsb_bridge.transport.registry import default_transports
 from rsb_console.command.check import summary
 
@@ -88,8 +91,9 @@ def test_queues() -> None:
     def limits(qos: Qos, profile: LinkProfile) -> QueueLimits:
         peer = SimpleNamespace(profile=profile, linked=True, budget=PeerBudget(0.0))
         arming = SimpleNamespace(required=False)
-        route: Any = SimpleNamespace(transport=transport, proposal=proposal, qos=qos, peer=peer, arming=arming)
-        return Outbox(route, RouteLedger(), Backlog()).limits(channel, 0, 0.0)
+        route: Any = SimpleNamespace(transport=transport, proposal=proposal, peer=peer, arming=arming)
+        flow: Any = SimpleNamespace(route=route, qos=qos, carried=Carried[SendingChannel]())
+        return Outbox(flow, AgreedEnd(route), RouteLedger(), Backlog()).limits(channel, 0, 0.0)
 
     live = limits(Qos(reliability="best_effort"), PROFILES["lte"])
     plain, lte = limits(Qos(), NO_PROFILE), limits(Qos(), PROFILES["lte"])

@@ -18,7 +18,7 @@ from tests.support.wording import pattern, says
 
 from rsb_bridge.control import protocol
 from rsb_bridge.control.protocol import AnyCommand, ControlProtocolError, StateChange
-from rsb_bridge.control.states import EncodedRoutes, Sender, StateReceiver
+from rsb_bridge.control.states import EncodedRoutes, StateReceiver, StateSender
 from rsb_bridge.model import commands
 from rsb_bridge.model.session import Topic
 from rsb_bridge.wire.protocol_error import Broken
@@ -77,7 +77,7 @@ def test_text_that_is_not_utf_8_is_refused(to_bridge: bool) -> None:
 @given(data=st.data())
 def test_console_has_routes_that_engine_has(data: st.DataObject) -> None:
     """After routes are added, changed, removed and moved between two polls."""
-    engine, sender, encoded = ScriptedEngine(), Sender(), EncodedRoutes()
+    engine, sender, encoded = ScriptedEngine(), StateSender(), EncodedRoutes()
     info = protocol.BridgeInfo("robot1", "client", "10.0.0.20:49152", 1, 0.0, "x", "0.1.0")
     receiver = StateReceiver(info)
     pool = [route(f"/t{number}") for number in range(120)]
@@ -101,7 +101,7 @@ def test_console_has_routes_that_engine_has(data: st.DataObject) -> None:
 
 
 def test_what_has_not_changed_is_not_sent_again() -> None:
-    engine, sender, encoded = ScriptedEngine(), Sender(), EncodedRoutes()
+    engine, sender, encoded = ScriptedEngine(), StateSender(), EncodedRoutes()
     first = engine.now
 
     def size(now: Snapshot) -> int:

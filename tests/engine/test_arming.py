@@ -21,7 +21,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.crossing import Crossing
-from rsb_bridge.route.incoming import IncomingRoute
+from rsb_bridge.route.receiver import Receiver
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -51,8 +51,8 @@ def disarmings(engine: Engine) -> int:
 def published(engine: Engine) -> int:
     """How many messages it has published of the opening that was armed, which is over."""
     (found,) = [each for link in inside(engine).role.links() for each in tuple(link.routes.values())]
-    assert isinstance(found, IncomingRoute)
-    before = found._before
+    assert isinstance(found.half, Receiver)
+    before = found.half._before
     return before[1].delivered if before else 0
 
 

@@ -45,7 +45,7 @@ class Cut:
         self.there = pc.listener("/events", qos=qos)
         self.server, self.client = bridge.both(Topic("/events", "transmit", **keys), outlive=OUTLIVES)
         carries(self.out, self.server, ["/events"])
-        self.opening = outgoing(self.client, "/events").id
+        self.opening = outgoing(self.client, "/events").route.id
         if edited is not None:
             self.client.edit_topic(route(self.client, "/events").key, edited).result(60)
         self._relay = relay
@@ -56,7 +56,7 @@ class Cut:
 
     @property
     def offered(self) -> int:
-        return outgoing(self.client, "/events").ledger().offered
+        return outgoing(self.client, "/events").facts.ledger.offered
 
     def publish(self, count: int, first: int = 0, *, publisher: int = 0, size: int = 0) -> None:
         """Have the bridge take numbered messages, a few at a time, as its subscription keeps ten, too."""
@@ -76,7 +76,7 @@ class Cut:
             time.sleep(0.001)
         ledger = settled(self.client, "/events", self.offered)
         assert balance(ledger) == ledger.offered
-        assert outgoing(self.client, "/events").id == self.opening
+        assert outgoing(self.client, "/events").route.id == self.opening
         return numbers(self.there.payloads[self._came :])
 
     def dropped(self) -> dict[str, int]:

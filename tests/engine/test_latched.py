@@ -21,6 +21,7 @@ from rsb_bridge.model.names import node_of_hop
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
+from rsb_bridge.route.receiver import Receiver
 from rsb_console.command.watching_commands import _carries
 
 if TYPE_CHECKING:
@@ -127,8 +128,9 @@ def test_two_bridges_in_a_row(
 def brought_by(receiver: Engine, sender: Engine) -> bool:
     """Whether all that an engine publishes has crossed another one's bridge."""
     node = inside(sender).context.ros.node_name
-    routes = [route for link in inside(receiver).role.links() for route in tuple(link.routes.values())]
-    outputs = [output for route in routes for output in tuple(outputs_of(route)._outputs)]  # type: ignore[arg-type]
+    halves = [route.half for link in inside(receiver).role.links() for route in tuple(link.routes.values())]
+    receivers = [half for half in halves if isinstance(half, Receiver)]
+    outputs = [output for each in receivers for output in tuple(outputs_of(each)._outputs)]
     return bool(outputs) and all(node in map(node_of_hop, output.came_by) for output in outputs)
 
 

@@ -68,7 +68,7 @@ def test_topics_go_on(
     receivers, senders = {"/up": server, "/down": client}, {"/up": client, "/down": server}
     for topic, engine in receivers.items():
         carries([out[topic]], engine, [topic])
-    openings = {topic: outgoing(engine, topic).id for topic, engine in senders.items()}
+    openings = {topic: outgoing(engine, topic).route.id for topic, engine in senders.items()}
 
     for number in range(200):
         for each in out.values():
@@ -84,7 +84,7 @@ def test_topics_go_on(
         eventually(lambda topic=topic: len(there[topic].payloads) >= 200)
         numbers = [int(payload[8:].split(b" ")[0].rstrip(b"\0")) for payload in there[topic].payloads]
         assert numbers == [*range(200)]
-        assert outgoing(engine, topic).id == openings[topic]
+        assert outgoing(engine, topic).route.id == openings[topic]
     for side in (server, client):
         assert linked(side)
         assert not happened(side, EventCode.ROUTE_CHANNEL_LOST)
@@ -97,11 +97,11 @@ def test_latched_topics_and_services_go_on(bridge: Bridge, robot: Domain, pc: Do
     server, client = bridge.both(Topic("/map", "transmit"), Topic("/lamp", "transmit", kind="service"))
     carries([out], server, ["/map"])
     eventually(lambda: route(client, "/lamp").cause == "no_call")
-    opening = outgoing(client, "/map").id
+    opening = outgoing(client, "/map").route.id
     cut(client, large=False)
     out.publish(text("map"))
     eventually(lambda: there.payloads)
-    assert outgoing(client, "/map").id == opening
+    assert outgoing(client, "/map").route.id == opening
     eventually(lambda: route(client, "/lamp").cause == "no_call")
     assert linked(client)
     assert linked(server)

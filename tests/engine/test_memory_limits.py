@@ -29,8 +29,8 @@ from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.reason import EndCode
 from rsb_bridge.model.session import Topic
 from rsb_bridge.ros.distribution import package_of
-from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.latched import PUBLISHER_COST
+from rsb_bridge.route.receiver import Receiver
 from rsb_bridge.wire.framing import MESSAGE_LIMIT, UNFINISHED_LIMIT
 from rsb_bridge.wire.messages import Close, Propose, Ready, Refuse
 
@@ -78,7 +78,7 @@ def link_of(server: Engine) -> Link:
 def received(server: Engine, topic: str) -> int:
     """How many messages of a topic have come, published or not."""
     routes = tuple(link_of(server).routes.values())
-    return sum(each._received for each in routes if isinstance(each, IncomingRoute) and each.topic == topic)
+    return sum(each.half.path.received for each in routes if isinstance(each.half, Receiver) and each.topic == topic)
 
 
 def test_on_streams(bridge: Bridge, server: Engine, rogue: Rogue, robot: Domain, pc: Domain) -> None:

@@ -31,7 +31,7 @@ OUTLIVES = 60.0
 
 def away(engine: Engine) -> bool:
     (link,) = inside(engine).role.links()
-    return link.away_since is not None
+    return link.suspended_since is not None
 
 
 def numbers(payloads: list[bytes]) -> list[int]:
@@ -54,7 +54,7 @@ def test_reliable_topics_lose_nothing_while_the_link_is_away(
     receivers, senders = {"/up": server, "/down": client}, {"/up": client, "/down": server}
     for topic, engine in receivers.items():
         carries([out[topic]], engine, [topic])
-    openings = {topic: outgoing(engine, topic).id for topic, engine in senders.items()}
+    openings = {topic: outgoing(engine, topic).route.id for topic, engine in senders.items()}
 
     def endpoints() -> set[bytes]:
         found = (domain.node.get_publishers_info_by_topic(topic) for domain in (robot, pc) for topic in ways)
@@ -82,7 +82,7 @@ def test_reliable_topics_lose_nothing_while_the_link_is_away(
         assert balance(ledger) == ledger.delivered == counts[topic]
         eventually(lambda topic=topic: len(there[topic].payloads) >= counts[topic])
         assert numbers(there[topic].payloads) == [*range(counts[topic])]
-        assert outgoing(engine, topic).id == openings[topic]
+        assert outgoing(engine, topic).route.id == openings[topic]
     assert endpoints() == before_all
     for side in (server, client):
         assert not happened(side, EventCode.LINK_STREAM_REOPENED)
@@ -117,7 +117,7 @@ def test_what_waits_is_dropped_when_the_session_ends(bridge: Bridge, relay: Rela
     out, there = robot.publisher("/scan"), pc.listener("/scan")
     server, client = bridge.both(Topic("/scan", "transmit", qos={"depth": 100}), outlive=2.0)
     carries([out], server, ["/scan"])
-    opening = outgoing(client, "/scan").id
+    opening = outgoing(client, "/scan").route.id
     relay.refuse()
     relay.cut()
     for side in (client, server):
@@ -125,7 +125,7 @@ def test_what_waits_is_dropped_when_the_session_ends(bridge: Bridge, relay: Rela
         assert not away(side)
     relay.refuse(False)
     eventually(lambda: linked(client) and linked(server))
-    eventually(lambda: outgoing(client, "/scan").id not in (0, opening))
+    eventually(lambda: outgoing(client, "/scan").route.id not in (0, opening))
     carries([out], server, ["/scan"])
     out.publish(text("again"))
     eventually(lambda: there.payloads)
@@ -234,12 +234,12 @@ def test_client_is_refused_and_back_if_its_session_has_moved_on(
     """The server has handled more from the connection before, after its answer on the new one."""
     server, client = bridge.both(Topic("/up", "transmit"), outlive=OUTLIVES)
     eventually(lambda: linked(client) and linked(server))
-    may_go_on, answers = LinkSession.may_go_on, [False, True]
+    may_resume, answers = LinkSession.may_resume, [False, True]
 
     def has_moved_on_once(session: LinkSession, hello: Hello) -> bool:
-        return answers.pop() if answers else may_go_on(session, hello)
+        return answers.pop() if answers else may_resume(session, hello)
 
-    monkeypatch.setattr(LinkSession, "may_go_on", has_moved_on_once)
+    monkeypatch.setattr(LinkSession, "may_resume", has_moved_on_once)
     relay.cut()
     eventually(lambda: happened(server, EventCode.LINK_REJECTED, "moved on"))
     eventually(lambda: happened(client, EventCode.LINK_UP, "goes on") and linked(client) and linked(server))

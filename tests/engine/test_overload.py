@@ -18,7 +18,8 @@ from tests.support.waiting import eventually
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
-from rsb_bridge.route.topic_route import TopicRoute
+from rsb_bridge.route.receiver import Receiver
+from rsb_bridge.route.sender import Sender
 from rsb_bridge.route.topic_verdict import USE_TCP
 
 if TYPE_CHECKING:
@@ -72,7 +73,7 @@ class Seen(NamedTuple):
 
 def _look(engine: Engine, at: float) -> Seen:
     (link,) = inside(engine).role.links()
-    (route,) = [each for each in tuple(link.routes.values()) if isinstance(each, TopicRoute)]
+    (route,) = [each for each in tuple(link.routes.values()) if isinstance(each.half, Sender | Receiver)]
     verdict = route.judged.shown(route.verdict()).verdict
     return Seen(at, verdict.state, verdict.cause, verdict.text, link.fullness.out or link.fullness.into)
 
@@ -83,7 +84,7 @@ def _record(
     """Look at all sides ten times a second, and return what each showed."""
     began, seen = time.monotonic(), [list[Seen]() for _ in engines]
     while (at := time.monotonic() - began) < seconds and not until():
-        count, offered = published.count, outgoing(engines[0], "/camera").ledger().offered
+        count, offered = published.count, outgoing(engines[0], "/camera").facts.ledger.offered
         room = capacity(relay, _MEASURED_OVER) / _MEASURED_OVER
         for engine, its in zip(engines, seen, strict=True):
             its.append(_look(engine, at)._replace(published=count, offered=offered, room=room))
@@ -176,7 +177,7 @@ def test_a_path_that_takes_seconds_is_not_full(bridge: Bridge, robot: Domain, pc
         with publishing(out, 20.0, 1000) as published:
             seen = _record((client, server), 20.0, lambda: False, published, relay)
             found = ages(there, relay)
-            ledger = outgoing(client, "/camera").ledger()
+            ledger = outgoing(client, "/camera").facts.ledger
             stood_still = relay.paused(began, time.time_ns()) > _STANDS_STILL
         relay.delay = lambda: 0.0
         bridge.close()

@@ -24,7 +24,8 @@ from rsb_bridge.cdr.description import hash_of_text, read_description
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import PEEK_LIMIT
 from rsb_bridge.route import peeking
-from rsb_bridge.route.topic_route import TopicRoute
+from rsb_bridge.route.receiver import Receiver
+from rsb_bridge.route.sender import Sender
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -70,7 +71,11 @@ def look(engine: Engine, topic: str, *, kept: bool = False) -> Future[PeekedMess
 
 def wanted(link: Link) -> list[bool]:
     """Return a link's topics that have a viewer."""
-    return [each.peek_slot.wanted for each in tuple(link.routes.values()) if isinstance(each, TopicRoute)]
+    return [
+        each.half.flow.peek_slot.wanted
+        for each in tuple(link.routes.values())
+        if isinstance(each.half, Sender | Receiver)
+    ]
 
 
 def seen(future: Future[PeekedMessage | None]) -> PeekedMessage:

@@ -105,9 +105,9 @@ def test_nothing_is_dropped_on_a_fast_link(bridge: Bridge, robot: Domain, pc: Do
         there.forget()
         with publishing(out, 400.0, 10_000) as published:
             eventually(lambda published=published: published.count >= 800)
-        route = outgoing(client, "/tcp")
-        eventually(lambda route=route: _is_settled(route.ledger(), 800))
-        ledger = route.ledger()
+        sender = outgoing(client, "/tcp")
+        eventually(lambda sender=sender: _is_settled(sender.facts.ledger, 800))
+        ledger = sender.facts.ledger
         if not ledger.dropped:
             eventually(lambda ledger=ledger: len(there.payloads) >= ledger.delivered)
             return

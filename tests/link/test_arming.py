@@ -602,11 +602,11 @@ def test_budget_of_armings_bounds_events_of_attempts(pair: Pair) -> None:
 def test_unarmable_topic_says_so_in_advance(pair: Pair) -> None:
     _, pc = pair
     pc.linked = True
-    before = blocked(route(pc), route(pc).crossing)
+    before = blocked(route(pc).half.facts, route(pc).crossing)
     assert before is not None
     assert "rsb-console arm" in before.text
     route(pc).arming.end(Disarmed.LINK_SLOW)
-    verdict = blocked(route(pc), route(pc).crossing)
+    verdict = blocked(route(pc).half.facts, route(pc).crossing)
     assert verdict == Verdict(State.DISARMED, Cause.DISARMED, Disarmed.LINK_SLOW.text)
 
 

@@ -12,7 +12,7 @@ from tests.route.test_unpacking import OnePublisher, grown
 
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.reason import EndCode
-from rsb_bridge.route.incoming import IncomingRoute
+from rsb_bridge.route.receiver import Receiver
 from rsb_bridge.wire.messages import Close, Describe, Propose
 from rsb_bridge.wire.records import Source
 
@@ -68,7 +68,7 @@ def test_after_many_routes_every_count_is_zero(
             kind = f"made_up_msgs/msg/Type{random.randrange(400)}", "RIHS01_" + "0" * 64
             side.table.handle(Describe(number, *kind, random.choice((VOLATILE, LATCHED)), sources))
         route = side.ids.open_route(number)
-        if isinstance(route, IncomingRoute):
+        if route is not None and isinstance(route.half, Receiver):
             ros.published.acknowledged = random.random() < 0.5
             route.deliver([(bytes(random.randrange(100_000)), 0, 0), grown(1_000_000), grown(1_000_000)])
         most |= Counter(held(side))

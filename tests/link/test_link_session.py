@@ -34,7 +34,7 @@ def again(session: LinkSession, count: int) -> tuple[ControlMessageBase, ...]:
     """Return what a peer lacks that has handled so many messages."""
     event: Any = SimpleNamespace(peer=SimpleNamespace(handled=count), keys=None)
     session.acknowledge(count)
-    return tuple(session.back(MagicMock(), event))
+    return tuple(session.resume(MagicMock(), event))
 
 
 def test_what_the_peer_has_not_handled_is_sent_again() -> None:
@@ -69,7 +69,7 @@ def test_peer_that_has_handled_what_cannot_be_is_found(count: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("hello", "goes_on"),
+    ("hello", "resumes"),
     [
         ({}, True),
         ({"instance": "another"}, False),
@@ -79,11 +79,11 @@ def test_peer_that_has_handled_what_cannot_be_is_found(count: int) -> None:
     ],
     ids=str,
 )
-def test_only_its_process_goes_on(hello: dict[str, Any], goes_on: bool) -> None:
+def test_only_its_process_resumes_it(hello: dict[str, Any], resumes: bool) -> None:
     session = session_of()
     sent(session, 4)
     client = Hello("1", "robot1", "there", 0, session=bytes(8), handled=4)
-    assert session.may_go_on(msgspec.structs.replace(client, **hello)) is goes_on
+    assert session.may_resume(msgspec.structs.replace(client, **hello)) is resumes
 
 
 def test_it_is_over_beyond_its_limit() -> None:

@@ -21,10 +21,10 @@ from rsb_bridge.model.session import ArmedName, Topic
 from rsb_bridge.ros.ros_interface import RosError, TopicSpec
 from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.route.arming import CONSOLE_SILENT_AFTER, ArmingPhase, Disarmed
-from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.lease import LASTS
-from rsb_bridge.route.outgoing import OutgoingRoute
+from rsb_bridge.route.receiver import Receiver
 from rsb_bridge.route.rest_message import EVERY, HOLDS, TIMES
+from rsb_bridge.route.topic_flow import AgreedEnd
 from rsb_bridge.wire.framing import LEASED
 from rsb_bridge.wire.headers import with_number
 from rsb_bridge.wire.messages import Describe
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.model.calls import Fields
     from rsb_bridge.model.session import Direction
+    from rsb_bridge.route.route import Route
 
 BEGIN = b"\0\1\0\0"
 TWIST = "geometry_msgs/msg/Twist"
@@ -156,7 +157,7 @@ class Driven:
         _, pc = self.pair = self.pair[::-1] if serves else self.pair
         self.kind = kind
         self.describe()
-        if not self.half.id:
+        if not self.receiver.route.id:
             return  # it is refused
         arm(pc).result()
         let_time_pass(self.pair, 0.5)
@@ -168,20 +169,22 @@ class Driven:
         return Topic("/cmd_vel", direction, arm=True, deadman=DEADMAN, type=kind, on_end=on_end)
 
     def describe(self, qos: Qos | None = None) -> None:
-        description = Describe(self.half.id, self.kind, "RIHS01_" + "0" * 64, qos or Qos(), (Source(("there",)),))
+        description = Describe(
+            self.receiver.route.id, self.kind, "RIHS01_" + "0" * 64, qos or Qos(), (Source(("there",)),)
+        )
         self.pair[0].table.handle(description)
 
     @property
-    def half(self) -> IncomingRoute:
-        half = route(self.pair[0])
-        assert isinstance(half, IncomingRoute)
+    def receiver(self) -> Receiver:
+        half = route(self.pair[0]).half
+        assert isinstance(half, Receiver)
         return half
 
-    def drive(self, payload: bytes = MOVES, half: IncomingRoute | None = None, number: int | None = None) -> None:
-        half = half or self.half
-        lease = half.arming.lease
+    def drive(self, payload: bytes = MOVES, by: Route | None = None, number: int | None = None) -> None:
+        by = by or self.receiver.route
+        lease = by.arming.lease
         assert lease is not None
-        half.deliver([(with_number(number or lease.number, payload), half.context.stamps.now(), LEASED)])
+        by.deliver([(with_number(number or lease.number, payload), by.context.stamps.now(), LEASED)])
 
     def wait(self, seconds: float) -> None:
         self._loop.run_until_complete(asyncio.sleep(seconds))
@@ -249,8 +252,8 @@ def by_the_consoles_end(driven: Driven, at: int) -> None:
 def test_robot_rests_at_once_however_it_is_disarmed(
     ends: Callable[[Driven, int], None], at: int, driven: Driven, loop: VirtualLoop
 ) -> None:
-    began, half = loop.time(), driven.half
-    lease = half.arming.lease
+    began, opening = loop.time(), driven.receiver.route
+    lease = opening.arming.lease
     assert lease is not None
     number = lease.number
     ends(driven, at)
@@ -258,7 +261,7 @@ def test_robot_rests_at_once_however_it_is_disarmed(
     assert driven.robot.heard[1:] == [(began, RESTS)]
     assert not driven.robot.open_at_rest
     for _ in range(20):
-        driven.drive(half=half, number=number)  # messages that were in flight
+        driven.drive(by=opening, number=number)  # messages that were in flight
         driven.wait(0.05)
     rests = driven.robot.heard[1:]
     assert {each.payload for each in rests} == {RESTS}
@@ -273,7 +276,7 @@ def test_robot_rests_once_sides_are_apart(driven: Driven, loop: VirtualLoop) -> 
     driven.wait(LASTS + 0.1)
     assert driven.payloads[1:2] == [RESTS]
     assert driven.robot.heard[1].at - began <= LASTS + 0.01
-    assert driven.half.arming.phase is ArmingPhase.ARMED
+    assert driven.receiver.route.arming.phase is ArmingPhase.ARMED
     let_time_pass(driven.pair, 1.0)
     driven.drive()
     let_time_pass(driven.pair, 1.0)
@@ -343,8 +346,8 @@ def test_robot_rests_despite_changed_publishers(driven: Driven) -> None:
 
 
 def move_by_hand(driven: Driven, qos: Qos) -> None:
-    driven.half.rest.prepare(TopicSpec("/cmd_vel", TWIST, "RIHS01_" + "0" * 64, qos))
-    driven.half.rest.moved_by_hand(MOVES, driven.robot.voices[-1])
+    driven.receiver.rest.prepare(TopicSpec("/cmd_vel", TWIST, "RIHS01_" + "0" * 64, qos))
+    driven.receiver.rest.moved_by_hand(MOVES, driven.robot.voices[-1])
 
 
 def test_robot_moved_by_hand_rests_despite_node(
@@ -440,7 +443,7 @@ def test_a_peer_may_only_stop_the_robot(
 ) -> None:
     driven = make_driven(kind, on_end, there, serves=serves)
     driven.drive()
-    assert driven.half.on_end == gets
+    assert driven.receiver.facts.on_end == gets
     by_an_operator(driven, 0)
     driven.wait(1.0)
     bodies = [BEGIN + each[-48:] for each in driven.payloads[1:]]
@@ -452,9 +455,7 @@ def test_both_sides_show_the_same_end(
     kind: str, on_end: OnEnd, there: OnEnd, gets: str, make_driven: Callable[..., Driven]
 ) -> None:
     driven = make_driven(kind, on_end, there)
-    sending = route(driven.pair[1])
-    assert isinstance(sending, OutgoingRoute)
-    assert sending.on_end_of(kind) == gets == driven.half.on_end
+    assert AgreedEnd(route(driven.pair[1])).of(kind) == gets == driven.receiver.facts.on_end
 
 
 @pytest.mark.parametrize("serves", [False, True], ids=["client", "server"])
@@ -526,7 +527,7 @@ def test_unfitting_message_is_refused_before_motion(
     kind: str, on_end: str | dict[str, Any], make_driven: Callable[..., Driven]
 ) -> None:
     driven = make_driven(kind, on_end)
-    assert "on_end" in driven.half.life.refusal.text
+    assert "on_end" in driven.receiver.route.life.refusal.text
     assert not any(voice.is_open for voice in driven.robot.voices), "a refused topic has no publisher"
 
 
@@ -535,11 +536,10 @@ def test_the_velocity_that_the_robot_has_is_reported(driven: Driven) -> None:
     there = route(driven.pair[1])
 
     def shown() -> list[tuple[float, float] | None]:
-        report = driven.half.news()
+        report = driven.receiver.news()
         if report is not None:
-            assert isinstance(there, OutgoingRoute)
-            there.reported(report)
-        found = [half.snapshot().arming for half in (driven.half, there)]
+            there.half.reported(report)
+        found = [each.snapshot().arming for each in (driven.receiver.route, there)]
         return [None if each is None else each.velocity for each in found]
 
     assert shown() == [(0.2, 0.5)] * 2
@@ -552,16 +552,16 @@ def test_the_velocity_that_the_robot_has_is_reported(driven: Driven) -> None:
     assert len(soon) == 2
     by_an_operator(driven, 0)
     assert len(soon) == 3
-    assert driven.half.velocity == (0.0, 0.0)
+    assert driven.receiver.facts.velocity == (0.0, 0.0)
 
 
 def test_a_velocity_nobody_hears_is_not_reported(driven: Driven) -> None:
-    assert driven.half.velocity == (0.2, 0.5)
+    assert driven.receiver.facts.velocity == (0.2, 0.5)
     for voice in driven.robot.voices:
         voice.subscriber_count = 0
-    assert driven.half.velocity is None
+    assert driven.receiver.facts.velocity is None
     driven.drive(RESTS)
-    assert driven.half.velocity == (0.0, 0.0)
+    assert driven.receiver.facts.velocity == (0.0, 0.0)
 
 
 @pytest.mark.parametrize(

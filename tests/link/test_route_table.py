@@ -25,6 +25,7 @@ from rsb_bridge.model.demands import sources_of_entries
 from rsb_bridge.model.purposes import purposes
 from rsb_bridge.model.reason import EndCode, Reason
 from rsb_bridge.model.session import Topic
+from rsb_bridge.route.entry import Entry
 from rsb_bridge.wire.messages import Close
 
 if TYPE_CHECKING:
@@ -413,7 +414,7 @@ def test_topic_at_limit_may_replace_another(
 def test_peer_cannot_list_links_own_names(make_pair: Callable[[], Pair]) -> None:
     client, _ = make_pair()
     topic, views = Topic("view/1", "transmit"), purposes()["view"]
-    route = client.table.add(topic, proposal_for(topic, client.context, views), proposed_here=True)
+    route = client.table.add(Entry(topic, proposal_for(topic, client.context, views)), proposed_here=True)
     client.table.handle(Close(route.id, "edited", EndCode.EDITED))
     assert client.listed == []
 
@@ -430,7 +431,7 @@ def test_no_two_routes_offer_one_service(make_pair: Callable[[], Pair]) -> None:
     def add(**entry: Any) -> None:
         topic = Topic(**entry)
         proposal = proposal_for(topic, pair[0].context)
-        pair[0].table.add(topic, proposal, proposed_here=True)
+        pair[0].table.add(Entry(topic, proposal), proposed_here=True)
 
     add(topic="/camera", direction="receive", kind="parameters")
     with pytest.raises(LinkError):

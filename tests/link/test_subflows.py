@@ -74,7 +74,7 @@ def test_carrying_way_is_told_when_it_changes() -> None:
     watched.pass_(0.0)  # the kernel has given the other one up
     assert watched.lines[-1] == "carried via 192.0.2.2 (no other way)"
     assert watched.link.control.stream.own_address == OWN[0]
-    watched.watch.away()
+    watched.watch.suspend()
     assert not watched.watch.ways
 
 

@@ -66,6 +66,7 @@ class Route:
     type_name, type_hash, local_topic = "a_msgs/msg/B", HASH, "/b"
 
     def __init__(self, message_types: tuple[TypeVersion, ...] = (TypeVersion("a_msgs/msg/B", HASH),)) -> None:
+        self.half = self.facts = self.carried = self
         self.message_types = message_types
 
 

@@ -50,7 +50,7 @@ WAYS: dict[ArmingPhase, list[tuple[ArmingEvent, ...]]] = {
 
 @pytest.fixture(params=["out", "in"])
 def cross(request: pytest.FixtureRequest, make_context: Callable[..., Context]) -> tuple[Route, Callable[[], int]]:
-    """A half of a route, and a function that gives it a message and returns how many have crossed."""
+    """A route, and a function that gives it a message and returns how many have crossed."""
     if request.param == "out":
         made: World = request.getfixturevalue("world")
 
@@ -58,17 +58,17 @@ def cross(request: pytest.FixtureRequest, make_context: Callable[..., Context]) 
             made.path.offer([RawMessage(b"moves", made.context.stamps.now(), FIRST, lease=1)])
             return len(made.sent)
 
-        return made.route, offer
+        return made.sender.route, offer
     ros = OnePublisher()
-    route = opened(make_context(ros=ros), FakePeer(), "/cmd")
+    receiver = opened(make_context(ros=ros), FakePeer(), "/cmd")
 
     def deliver() -> int:
-        lease = route.arming.lease
+        lease = receiver.route.arming.lease
         assert lease is not None
-        route.deliver([(with_number(lease.number, b"moves"), route.context.stamps.now(), LEASED)])
+        receiver.deliver([(with_number(lease.number, b"moves"), receiver.route.context.stamps.now(), LEASED)])
         return len(ros.published.sizes)
 
-    return route, deliver
+    return receiver.route, deliver
 
 
 @pytest.mark.parametrize("heard", [True, False], ids=["heard", "unheard"])

@@ -9,7 +9,7 @@ from tests.support.offline import half_of
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Ledger
 from rsb_bridge.route.catching_up import Backlog
-from rsb_bridge.route.outgoing import OutgoingRoute
+from rsb_bridge.route.sender import Sender
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -55,12 +55,12 @@ def test_backlog_goes_on_while_what_came_behind_it_is_late() -> None:
 
 def test_what_a_silent_link_dropped_is_no_overload_once_it_is_back(make_context: Callable[..., Context]) -> None:
     """A best-effort topic drops messages from the beginning of the silence, before the link is given up."""
-    route = half_of(OutgoingRoute, make_context(), Topic("/scan", "transmit", qos="sensor_data"))
+    sender = half_of(Sender, make_context(), Topic("/scan", "transmit", qos="sensor_data"))
     for second in range(5):
-        route.health.losses.judge(100, {"queue full": 10 * second}, float(second))
-    assert route.health.losses.loss is not None
-    route.away()
-    route.back()
+        sender.health.losses.judge(100, {"queue full": 10 * second}, float(second))
+    assert sender.health.losses.loss is not None
+    sender.route.suspend()
+    sender.route.resume()
     for second in range(5, 10):
-        route.health.losses.judge(10 * second + 60, {"queue full": 40}, float(second))
-        assert route.health.losses.loss is None
+        sender.health.losses.judge(10 * second + 60, {"queue full": 40}, float(second))
+        assert sender.health.losses.loss is None

@@ -17,10 +17,10 @@ from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.blocking_rules import blocked
 from rsb_bridge.route.crossing import Crossing
 from rsb_bridge.route.gates import NO_SAMPLE, armed_gate
-from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.lease import LASTS
 from rsb_bridge.route.lifecycle import RouteEvent
-from rsb_bridge.route.outgoing import OutgoingRoute
+from rsb_bridge.route.receiver import Receiver
+from rsb_bridge.route.sender import Sender
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from tests.support.virtual_time import VirtualLoop
 
     from rsb_bridge.context import Context
-    from rsb_bridge.route.route import Route
 
 DEADMAN = 0.3
 ARMINGS = {
@@ -43,13 +42,13 @@ ARMINGS = {
 }
 
 
-def bring(route: Route, arming: str, loop: VirtualLoop) -> None:
+def bring(half: Sender | Receiver, arming: str, loop: VirtualLoop) -> None:
     """Bring a route's arming into a state."""
     if arming == "needs none":
         return
-    found, now = route.arming, route.context.now
+    found, now = half.route.arming, half.route.context.now
     found.demand(required=True, deadman=DEADMAN if arming == "run out" else 0.0)
-    leased(found, route.context)
+    leased(found, half.route.context)
     if arming == "asked":
         found.ask("anna", "a console", now(), lambda: None)
     elif arming != "free":
@@ -65,37 +64,39 @@ def bring(route: Route, arming: str, loop: VirtualLoop) -> None:
 
 
 @pytest.mark.parametrize("arming", ARMINGS)
-@pytest.mark.parametrize("half", [OutgoingRoute, IncomingRoute])
+@pytest.mark.parametrize("kind", [Sender, Receiver])
 def test_the_first_reason_in_order_counts(
-    half: Callable[..., Route], arming: str, make_context: Callable[..., Context], loop: VirtualLoop
+    kind: type[Sender | Receiver], arming: str, make_context: Callable[..., Context], loop: VirtualLoop
 ) -> None:
     for loops, paused, settles, is_open in product([False, True], repeat=4):
-        route: Any = half_of(half, make_context(), Topic("/cmd", "transmit"))
-        bring(route, arming, loop)
-        route.notices.loop = "round" if loops else ""
-        route.pausing.paused = paused
+        half: Any = half_of(kind, make_context(), Topic("/cmd", "transmit"))
+        bring(half, arming, loop)
+        half.route.notices.loop = "round" if loops else ""
+        half.route.pausing.paused = paused
         if settles:
-            route.settling.begin(1, 1.0)
+            half.route.settling.begin(1, 1.0)
         if is_open:
             for event in (RouteEvent.OPEN, RouteEvent.ACCEPT):
-                route.life.handle(event)
-            route.channel = SimpleNamespace(ready=True, trouble=lambda: None)
+                half.route.life.handle(event)
+            half.carried.channel = SimpleNamespace(ready=True, trouble=lambda: None)
         armed = ARMINGS[arming]
         reasons = {armed}
         if loops:
             reasons.add(Crossing.LOOP)
-        if armed.is_unarmed and (settles or (arming == "run out" and half is OutgoingRoute)):
+        if armed.is_unarmed and (settles or (arming == "run out" and kind is Sender)):
             reasons.add(Crossing.DISARMING)
         if paused:
             reasons.add(Crossing.PAUSED)
         if not is_open:
             reasons.add(Crossing.NOT_OPEN)
         first = next(each for each in Crossing if each in reasons)
-        assert route.crossing is first
-        assert route.arming.crossing(route.context.now()) is armed, "a pause or a loop says nothing of the arming"
-        refused = armed_gate(route.arming)(NO_SAMPLE, route.context.now())
+        assert half.route.crossing is first
+        assert half.route.arming.crossing(half.route.context.now()) is armed, (
+            "a pause or a loop says nothing of the arming"
+        )
+        refused = armed_gate(half.route.arming)(NO_SAMPLE, half.route.context.now())
         assert refused is {Crossing.YES: None, Crossing.UNHEARD: Refused.UNHEARD}.get(armed, Refused.DISARMED)
-        verdict = blocked(route, first)
+        verdict = blocked(half.facts, first)
         assert (verdict.state if verdict is not None else None) is STATES.get(first)
 
 

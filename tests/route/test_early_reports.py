@@ -36,9 +36,9 @@ class Peer(FakePeer):
 
 def test_a_report_is_due_after_a_hundred_messages(make_context: Callable[..., Context]) -> None:
     peer = Peer()
-    route = opened(make_context(ros=OnePublisher()), peer, "/scan")
+    receiver = opened(make_context(ros=OnePublisher()), peer, "/scan")
     for messages, soon in ((99, 0), (1, 1), (99, 1), (500, 2)):
-        route.deliver([MESSAGE] * messages)
+        receiver.deliver([MESSAGE] * messages)
         assert peer.soon == soon
 
 
@@ -46,16 +46,16 @@ def test_reports_go_together_at_most_ten_a_second(loop: VirtualLoop, make_contex
     context = make_context(ros=OnePublisher())
     sent: list[Report] = []
     early = RouteReports(cast("Link", SimpleNamespace(context=context, send=sent.append)))
-    routes = [opened(context, FakePeer(), name) for name in ("/scan", "/odom")]
+    receivers = [opened(context, FakePeer(), name) for name in ("/scan", "/odom")]
     for _ in range(100):
-        for route in routes:
-            route.deliver([MESSAGE] * 100)
-            early.add(route)
+        for receiver in receivers:
+            receiver.deliver([MESSAGE] * 100)
+            early.add(receiver.route)
         loop.run_until_complete(asyncio.sleep(0.01))
     assert 9 <= len(sent) <= 10
     assert all(len(report.received) == 2 for report in sent)
     assert sent[-1].received[0].delivered >= 9_000
-    early.add(routes[0])
+    early.add(receivers[0].route)
     early.disconnected()
     count = len(sent)
     loop.run_until_complete(asyncio.sleep(1.0))

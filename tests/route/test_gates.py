@@ -19,8 +19,8 @@ from rsb_bridge.ros.ros_interface import RawMessage, Request
 from rsb_bridge.ros.ros_thread import RosTurns
 from rsb_bridge.route.age import MessageAge
 from rsb_bridge.route.arming import Arming, Disarmed
-from rsb_bridge.route.calls.calling_action import CallingActionRoute
-from rsb_bridge.route.calls.providing_action import ProvidingActionRoute
+from rsb_bridge.route.calls.caller import Caller
+from rsb_bridge.route.calls.provider import Provider
 from rsb_bridge.route.gates import (
     NO_SAMPLE,
     CallRateGate,
@@ -298,7 +298,7 @@ def everything_on(route: Route) -> None:
 def test_nothing_old_and_nothing_unarmed_gets_to_channel(world: World) -> None:
     """Age is asked once more when the channel has room: a message may have waited in the queue."""
     assert [order(each) for each in world.path.gates] == [[], [loop_sieve], [], [kept_loop_sieve], [Outbox], []]
-    everything_on(world.route)
+    everything_on(world.sender.route)
     gates = world.path.gates
     assert order(gates.batch) == [armed_gate]
     assert order(gates.arriving) == [fresh_sieve, loop_sieve]
@@ -306,54 +306,56 @@ def test_nothing_old_and_nothing_unarmed_gets_to_channel(world: World) -> None:
     assert order(gates.kept) == [kept_age_sieve, kept_loop_sieve]
     assert order(gates.packed) == [Outbox]
     assert order(gates.leaving) == [young_sieve]
-    world.route.qos = Qos(durability="transient_local")  # its messages wait in their histories, and are asked later
+    world.sender.flow.qos = Qos(
+        durability="transient_local"
+    )  # its messages wait in their histories, and are asked later
     world.path.compose()
     assert order(world.path.gates.arriving) == [loop_sieve]
 
 
 def test_nothing_old_and_nothing_unarmed_gets_to_ros(make_context: Callable[..., Context]) -> None:
     """Age and lease are asked once more after a long check, right before DDS gets the message."""
-    route = opened(make_context(ros=OnePublisher()), FakePeer(), "/cmd")
-    assert all(not each for each in incoming_gates(route))
-    everything_on(route)
-    batch, arriving, leaving = map(order, incoming_gates(route))
+    receiver = opened(make_context(ros=OnePublisher()), FakePeer(), "/cmd")
+    assert all(not each for each in incoming_gates(receiver.route))
+    everything_on(receiver.route)
+    batch, arriving, leaving = map(order, incoming_gates(receiver.route))
     assert batch == [armed_gate]
     assert arriving == [lease_gate, rate_gate]
     assert leaving == [lease_gate, age_gate]
-    assert order(armed_gates(route)) == [armed_gate]
+    assert order(armed_gates(receiver.route)) == [armed_gate]
 
 
 def test_calls_pass_them_from_callers_to_the_channel(make_context: Callable[..., Context]) -> None:
     """A call that stops or watches a robot always passes."""
-    route = calls(make_context(), CallingActionRoute)
+    half = calls(make_context(), Caller)
     fast, slow = CallRateGate(0.0, 0.0), CallRateGate(10.0, 0.0)
-    assert order(calling_gates(route, _CarriesFive(), fast, limited=True).arriving) == [
+    assert order(calling_gates(half.route, _CarriesFive(), fast, limited=True).arriving) == [
         pause_gate,
         size_gate,
         budget_gate,
     ]
-    everything_on(route)
-    arriving, leaving = map(order, calling_gates(route, _CarriesFive(), slow, limited=True))
+    everything_on(half.route)
+    arriving, leaving = map(order, calling_gates(half.route, _CarriesFive(), slow, limited=True))
     assert arriving == [pause_gate, armed_gate, young_gate, size_gate, CallRateGate, budget_gate]
     assert leaving == [young_gate]
-    arriving, leaving = map(order, calling_gates(route, _CarriesFive(), slow, limited=False))
+    arriving, leaving = map(order, calling_gates(half.route, _CarriesFive(), slow, limited=False))
     assert (arriving, leaving) == ([size_gate, budget_gate], [])
 
 
 def test_calls_pass_them_from_the_channel_to_servers(make_context: Callable[..., Context]) -> None:
     """Age and lease are asked again after the check of contents."""
-    route = calls(make_context(), ProvidingActionRoute)
-    arriving, leaving = map(order, providing_gates(route, limited=True))
+    half = calls(make_context(), Provider)
+    arriving, leaving = map(order, providing_gates(half.route, limited=True))
     assert (arriving, leaving) == ([pause_gate], [budget_gate])
-    everything_on(route)
-    arriving, leaving = map(order, providing_gates(route, limited=True))
+    everything_on(half.route)
+    arriving, leaving = map(order, providing_gates(half.route, limited=True))
     assert arriving == [age_gate, pause_gate, armed_gate, lease_gate]
     assert leaving == [age_gate, armed_gate, lease_gate, rate_gate, budget_gate]
-    arriving, leaving = map(order, providing_gates(route, limited=False))
+    arriving, leaving = map(order, providing_gates(half.route, limited=False))
     assert (arriving, leaving) == ([], [budget_gate])
 
 
-Calls = TypeVar("Calls", CallingActionRoute, ProvidingActionRoute)
+Calls = TypeVar("Calls", Caller, Provider)
 
 
 def calls(context: Context, half: type[Calls]) -> Calls:
@@ -393,22 +395,22 @@ def test_gate_counts_from_next_message_while_on(
 ) -> None:
     ros = OnePublisher()
     context = make_context(ros=ros)
-    route = opened(context, FakePeer(), "/cmd")
+    receiver = opened(context, FakePeer(), "/cmd")
     old: Message = (b"old", context.stamps.now() - A_SECOND, 0)
 
     def published() -> int:
         before = len(ros.published.sizes)
         for _ in range(5):
             loop.jump(0.02)  # late messages are published one by one
-            route.deliver([old])
+            receiver.deliver([old])
         return len(ros.published.sizes) - before
 
     assert published() == 5
-    switch(route)
+    switch(receiver.route)
     assert published() == passed
-    off(route)
+    off(receiver.route)
     assert published() == 5
-    report = route.news()
+    report = receiver.news()
     assert report is not None
     assert (report.received, report.delivered) == (15, 10 + passed)
     assert report.dropped == {cause: 5 - passed}
@@ -428,11 +430,11 @@ def test_outgoing_gate_counts_from_next_message_while_on(
         return len(world.sent) - before
 
     assert sent() == 5
-    switch(world.route)
+    switch(world.sender.route)
     assert sent() == passed
-    off(world.route)
+    off(world.sender.route)
     assert sent() == 5
-    ledger = world.route.ledger()
+    ledger = world.sender.facts.ledger
     assert ledger.offered == 15
     assert {"expired": ledger.expired, "throttled": ledger.throttled, **ledger.dropped}[cause] == 5 - passed
 
@@ -442,23 +444,23 @@ def test_message_of_unknown_arming_is_not_published(
 ) -> None:
     """Also one that is too short for the lease's number."""
     ros = OnePublisher()
-    route = opened(make_context(ros=ros), FakePeer(), "/cmd")
-    route.deliver([(with_number(1, b"moves"), 0, LEASED), (b"1", 0, LEASED)])
-    armed(route.arming, route.context)
-    route.deliver([(b"moves", 0, 0), (b"1", 0, LEASED)])
+    receiver = opened(make_context(ros=ros), FakePeer(), "/cmd")
+    receiver.deliver([(with_number(1, b"moves"), 0, LEASED), (b"1", 0, LEASED)])
+    armed(receiver.route.arming, receiver.route.context)
+    receiver.deliver([(b"moves", 0, 0), (b"1", 0, LEASED)])
     assert not ros.published.sizes
-    report = route.news()
+    report = receiver.news()
     assert report is not None
     assert report.dropped == {"disarmed": 4}
 
 
 def test_expired_messages_cause_is_their_age(make_context: Callable[..., Context]) -> None:
     context = make_context(ros=OnePublisher())
-    route = opened(context, FakePeer(), "/cmd")
-    aged(route)
+    receiver = opened(context, FakePeer(), "/cmd")
+    aged(receiver.route)
     for second in range(3):
-        route.deliver([(b"old", context.stamps.now() - A_SECOND, 0)] * 10)
-        route.age.update(10 * second + 10, float(second))
-    late = route.age.late()
+        receiver.deliver([(b"old", context.stamps.now() - A_SECOND, 0)] * 10)
+        receiver.route.age.update(10 * second + 10, float(second))
+    late = receiver.route.age.late()
     assert late is not None
     assert late.cause is Cause.LINK_SLOW

@@ -17,7 +17,7 @@ from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause, LinkCause
 from rsb_bridge.ros.ros_interface import Endpoint
 from rsb_bridge.route.idling import POLLED_EVERY, SETTLES
-from rsb_bridge.route.outgoing import OutgoingRoute
+from rsb_bridge.route.sender import Sender
 from rsb_bridge.wire.records import ReceivedReport, VerdictRecord
 
 if TYPE_CHECKING:
@@ -55,28 +55,28 @@ class World:
 
     def __init__(self, loop: VirtualLoop, context: Context, **fields: Any) -> None:
         self.peer = FakePeer()
-        self.route = half_of(OutgoingRoute, context, Topic("/scan", "transmit", **fields), self.peer)
+        self.sender = half_of(Sender, context, Topic("/scan", "transmit", **fields), self.peer)
         self.ticks: list[float] = []
         self.loop = loop
-        self.route.open(1)
-        self.route.on_accepted()
-        self.route.channel = Channel()  # type: ignore[assignment]
+        self.sender.route.open(1)
+        self.sender.route.on_accepted()
+        self.sender.carried.channel = Channel()  # type: ignore[assignment]
 
     def wait(self, seconds: float) -> None:
         for _ in range(int(seconds)):
             self.loop.jump(1.0)
             if self.peer.timetable.look(self.loop.time()):
                 self.ticks.append(self.loop.time())
-                self.route.tick()
+                self.sender.route.tick()
 
     def wait_until_idle(self) -> None:
         """Wait until the route is idle, and start counting its ticks."""
         self.wait(SETTLES + 5)
-        assert self.route.idle
+        assert self.sender.route.idle
         self.ticks.clear()
 
     def find_talker(self, node: str = "/talker") -> None:
-        self.route.endpoints = [TALKER._replace(node=node)]
+        self.sender.carried.endpoints = [TALKER._replace(node=node)]
 
     def lose_packets(self) -> None:
         self.peer.path.fault = PathFault(LinkCause.LOSSY, "the path loses packets")
@@ -91,10 +91,10 @@ def test_quiet_route_is_not_ticked_at_all(loop: VirtualLoop, make_context: Calla
     world.wait_until_idle()
     world.wait(86_400)
     assert not world.ticks
-    world.route.count(300, 30_000, world.route.context.now())
+    world.sender.flow.count(300, 30_000, world.sender.route.context.now())
     world.wait(1)
     assert len(world.ticks) == 1
-    assert world.route.meter.rate == 100.0, "300 messages in three seconds, and not in a day"
+    assert world.sender.route.meter.rate == 100.0, "300 messages in three seconds, and not in a day"
 
 
 def test_route_without_publisher_is_ticked_seldom_but_ticked(
@@ -118,12 +118,12 @@ TALKER = Endpoint("/talker", "std_msgs/msg/String", "", Qos(), b"gid")
 @pytest.mark.parametrize(
     "happens",
     [
-        lambda world: world.route.count(1, 100, world.route.context.now()),
+        lambda world: world.sender.flow.count(1, 100, world.sender.route.context.now()),
         lambda world: world.find_talker("/other"),
-        lambda world: world.route.pausing.change(paused=True),
-        lambda world: world.route.limit.set_max_rate(7.0),
-        lambda world: world.route.reported(ReceivedReport(route=1, verdict=DOWN)),
-        lambda world: world.route.judge_again(),
+        lambda world: world.sender.route.pausing.change(paused=True),
+        lambda world: world.sender.route.limit.set_max_rate(7.0),
+        lambda world: world.sender.reported(ReceivedReport(route=1, verdict=DOWN)),
+        lambda world: world.sender.route.judge_again(),
     ],
     ids=["message", "endpoint", "pause", "limit", "report", "again"],
 )
@@ -134,7 +134,7 @@ def test_whatever_happens_has_it_ticked_each_second_for_a_while(
     world.find_talker()
     world.wait_until_idle()
     happens(world)
-    world.route.advance()
+    world.sender.route.advance()
     world.wait(SETTLES)
     assert len(world.ticks) == SETTLES
     world.wait(200)
@@ -149,7 +149,7 @@ def test_route_of_a_link_at_fault_is_not_idle(
     world.find_talker()
     world.wait_until_idle()
     lasts(world)
-    world.route.judge_again()
+    world.sender.route.judge_again()
     world.wait(100)
     assert len(world.ticks) == 100
 
@@ -164,23 +164,23 @@ def test_missing_publisher_is_fault_where_entry_demands(
 ) -> None:
     """Without one, type and QoS are unknown, so that nothing is described and there is no channel."""
     world = World(loop, make_context(), **fields)
-    world.route.channel = None
+    world.sender.carried.channel = None
     world.wait(12)
-    assert world.route.verdict().state is State.WAITING
+    assert world.sender.route.verdict().state is State.WAITING
     world.wait(20)
-    assert (world.route.verdict().state, world.route.verdict().cause) == (state, Cause.NO_PUBLISHER)
+    assert (world.sender.route.verdict().state, world.sender.route.verdict().cause) == (state, Cause.NO_PUBLISHER)
 
 
 def test_long_silence_is_noticed_in_time(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
     after = 167.0
     world = World(loop, make_context(), stale_after=after)
     world.find_talker()
-    world.route.count(1, 100, loop.time())
+    world.sender.flow.count(1, 100, loop.time())
     came = loop.time()
     world.wait(after - 1)
-    assert (world.route.verdict().state, len(world.ticks) < after / 2) == (State.OK, True)
+    assert (world.sender.route.verdict().state, len(world.ticks) < after / 2) == (State.OK, True)
     world.wait(1)
-    assert (world.route.verdict().state, loop.time()) == (State.STALE, came + after)
+    assert (world.sender.route.verdict().state, loop.time()) == (State.STALE, came + after)
 
 
 def test_route_that_is_stale_is_ticked_for_its_warnings(
@@ -189,7 +189,7 @@ def test_route_that_is_stale_is_ticked_for_its_warnings(
     world = World(loop, make_context(), stale_after=50.0)
     world.find_talker()
     world.wait(1000)
-    warned = [event for event in world.route.context.events.after(0) if event.code is EventCode.ROUTE_STALE]
-    assert world.route.verdict().state is State.STALE
-    assert len(warned) == world.route.silence.watch.times
+    warned = [event for event in world.sender.route.context.events.after(0) if event.code is EventCode.ROUTE_STALE]
+    assert world.sender.route.verdict().state is State.STALE
+    assert len(warned) == world.sender.flow.silence.watch.times
     assert len(world.ticks) < 1000 / 4, "it settles after each warning"

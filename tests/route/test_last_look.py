@@ -10,7 +10,7 @@ from tests.route.calls.test_held import GOAL, Dock, providing
 from tests.route.test_gates import armed
 from tests.route.test_unpacking import OnePublisher, Published, opened
 from tests.route.test_volatile import unwanted
-from tests.support.inside import outputs_of, provide, refusal_of
+from tests.support.inside import outputs_of, refusal_of
 from tests.support.offline import FakePeer
 
 from rsb_bridge.model.calls import SEND_GOAL, Refused
@@ -20,7 +20,6 @@ from rsb_bridge.route.lease import LASTS
 from rsb_bridge.route.source_publishers import FREE, VolatileTopic
 from rsb_bridge.wire.framing import LEASED, Budget
 from rsb_bridge.wire.headers import CallFrame, What, with_number
-from rsb_bridge.wire.messages import Provide
 from rsb_bridge.wire.records import LaneEntry
 
 if TYPE_CHECKING:
@@ -29,8 +28,8 @@ if TYPE_CHECKING:
     from tests.support.virtual_time import VirtualLoop
 
     from rsb_bridge.context import Context
-    from rsb_bridge.route.calls.providing_action import ProvidingActionRoute
-    from rsb_bridge.route.incoming import IncomingRoute
+    from rsb_bridge.route.calls.provider import Provider
+    from rsb_bridge.route.receiver import Receiver
 
 LONG = bytes(4) + bytes(FREE)
 """A message before which DDS is asked what it still holds."""
@@ -63,20 +62,22 @@ class _Asked(Published):
         return True
 
 
-def _stands_in_the_check(route: IncomingRoute, _: OnePublisher, loop: VirtualLoop, seconds: float) -> None:
-    route.check.checker = _Waits(loop, seconds)  # type: ignore[assignment]
+def _stands_in_the_check(receiver: Receiver, _: OnePublisher, loop: VirtualLoop, seconds: float) -> None:
+    receiver.check.checker = _Waits(loop, seconds)  # type: ignore[assignment]
 
 
-def _stands_in_dds(route: IncomingRoute, ros: OnePublisher, loop: VirtualLoop, seconds: float) -> None:
-    outputs_of(route).close()
+def _stands_in_dds(receiver: Receiver, ros: OnePublisher, loop: VirtualLoop, seconds: float) -> None:
+    outputs_of(receiver).close()
     ros.published = _Asked(loop, seconds)
-    outputs_of(route).sinks.append(VolatileTopic(ros.published, 10, route.peer.budget.unacknowledged, loop.time))
+    outputs_of(receiver).sinks.append(
+        VolatileTopic(ros.published, 10, receiver.route.peer.budget.unacknowledged, loop.time)
+    )
 
 
 @pytest.mark.parametrize("stand", [_stands_in_the_check, _stands_in_dds])
 @pytest.mark.parametrize(("seconds", "count"), [(LASTS / 2, 1), (LASTS * 1.1, 0)])
 def test_message_that_aged_towards_dds_is_dropped(
-    stand: Callable[[IncomingRoute, OnePublisher, VirtualLoop, float], None],
+    stand: Callable[[Receiver, OnePublisher, VirtualLoop, float], None],
     seconds: float,
     count: int,
     loop: VirtualLoop,
@@ -84,12 +85,12 @@ def test_message_that_aged_towards_dds_is_dropped(
 ) -> None:
     ros = OnePublisher()
     context = make_context(ros=ros)
-    route = opened(context, FakePeer(), "/cmd")
-    number = armed(route.arming, context).number
-    stand(route, ros, loop, seconds)
-    route.deliver([(with_number(number, LONG), context.stamps.now(), LEASED)])
+    receiver = opened(context, FakePeer(), "/cmd")
+    number = armed(receiver.route.arming, context).number
+    stand(receiver, ros, loop, seconds)
+    receiver.deliver([(with_number(number, LONG), context.stamps.now(), LEASED)])
     assert len(ros.published.sizes) == count
-    report = route.news()
+    report = receiver.news()
     assert report is not None
     assert (report.received, report.delivered, report.dropped.get("disarmed", 0)) == (1, count, 1 - count)
 
@@ -99,24 +100,25 @@ def test_goal_that_aged_towards_dds_is_dropped(
     seconds: float, why: Refused | None, loop: VirtualLoop, make_context: Callable[..., Context]
 ) -> None:
     context = make_context()
-    route = providing(context)
-    provide(route, Provide(route=1, lanes=(LaneEntry("a/action/B_SendGoal", "h", 1),)))
-    number = armed(route.arming, context).number
+    half = providing(context)
+    half.under_way.entries = (LaneEntry("a/action/B_SendGoal", "h", 1),)
+    number = armed(half.route.arming, context).number
 
     def slow(frame: CallFrame, part: str) -> Refused | None:
         loop.jump(seconds)
         return None
 
-    route._malformed = slow  # type: ignore[method-assign]
-    assert refusal_of(route, CallFrame(What.CALL, SEND_GOAL, 1, 0, GOAL, number)) is why
+    half.types.malformed = slow  # type: ignore[method-assign]
+    assert refusal_of(half, CallFrame(What.CALL, SEND_GOAL, 1, 0, GOAL, number)) is why
 
 
-def _disarmed(route: ProvidingActionRoute) -> None:
-    route.arming.end(Disarmed.OPERATOR)
+def _disarmed(half: Provider) -> None:
+    half.route.arming.end(Disarmed.OPERATOR)
 
 
-def _armed_by_another(route: ProvidingActionRoute) -> None:
-    _disarmed(route)
+def _armed_by_another(half: Provider) -> None:
+    _disarmed(half)
+    route = half.route
     route.id += 1
     route.arming.opened(required=True, deadman=0.0)
     route.arming.arm_for_peer("bert", route.context.now())
@@ -125,7 +127,7 @@ def _armed_by_another(route: ProvidingActionRoute) -> None:
 
 @pytest.mark.parametrize(("meanwhile", "sent"), [(_disarmed, []), (_armed_by_another, []), (lambda _: None, [GOAL])])
 def test_goal_by_hand_needs_present_arming(
-    meanwhile: Callable[[ProvidingActionRoute], None],
+    meanwhile: Callable[[Provider], None],
     sent: list[bytes],
     loop: VirtualLoop,
     make_context: Callable[..., Context],
@@ -133,13 +135,13 @@ def test_goal_by_hand_needs_present_arming(
     """DDS may take seconds to find the server."""
     client = Client()
     context = make_context(Dock(client))
-    route = providing(context)
-    armed(route.arming, context)
+    half = providing(context)
+    armed(half.route.arming, context)
     client.ready = False
-    loop.call_later(0.1, meanwhile, route)
+    loop.call_later(0.1, meanwhile, half)
     loop.call_later(0.2, setattr, client, "ready", True)
     with pytest.raises(CallError):  # nobody answers, either
-        loop.run_until_complete(route.call_by_hand(SEND_GOAL, GOAL))
+        loop.run_until_complete(half.call_by_hand(SEND_GOAL, GOAL))
     assert client.calls == sent
 
 

@@ -13,9 +13,9 @@ from tests.support.offline import FakePeer, half_of
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
-from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.ledger import RouteLedger
-from rsb_bridge.route.outgoing import OutgoingRoute
+from rsb_bridge.route.receiver import Receiver
+from rsb_bridge.route.sender import Sender
 from rsb_bridge.wire.messages import Describe, Ready
 from rsb_bridge.wire.records import ReceivedReport, SentReport, Source, VerdictRecord
 
@@ -205,19 +205,19 @@ def topic() -> Topic:
 
 def test_receiver_tells_counts_to_sending_process_only(make_context: Callable[..., Context], topic: Topic) -> None:
     peer = FakePeer()
-    route = half_of(IncomingRoute, make_context(role="server", ros=OnePublisher()), topic, peer, here=False)
+    receiver = half_of(Receiver, make_context(role="server", ros=OnePublisher()), topic, peer, here=False)
 
     def counted_before(number: int) -> ReceivedReport | None:
-        """Open the route again; return its report of the opening before."""
-        if route.id:
-            route.close("the link was lost")
-        route.open(number)
-        route.on_accepted()
-        route.described(Describe(number, "std_msgs/msg/String", "RIHS01_" + "0" * 64, Qos(), (Source(("there",)),)))
+        """Open the receiver again; return its report of the opening before."""
+        if receiver.route.id:
+            receiver.route.close("the link was lost")
+        receiver.route.open(number)
+        receiver.route.on_accepted()
+        receiver.described(Describe(number, "std_msgs/msg/String", "RIHS01_" + "0" * 64, Qos(), (Source(("there",)),)))
         return next(each for each in reversed(peer.sent) if isinstance(each, Ready)).before
 
     assert counted_before(1) is None
-    route.deliver([(b"\0\1\0\0\2\0\0\0x\0", 0, 0)] * 131)
+    receiver.deliver([(b"\0\1\0\0\2\0\0\0x\0", 0, 0)] * 131)
     before = counted_before(3)
     assert before is not None
     assert (before.route, before.delivered) == (1, 131)
@@ -227,13 +227,13 @@ def test_receiver_tells_counts_to_sending_process_only(make_context: Callable[..
 
 def test_impossible_report_is_said_once_and_ends_nothing(make_context: Callable[..., Context], topic: Topic) -> None:
     context = make_context()
-    route = half_of(OutgoingRoute, context, topic)
-    route.open(1)
+    sender = half_of(Sender, context, topic)
+    sender.route.open(1)
     for delivered in (131, -1, 2**63):
-        route.reported(ReceivedReport(route=1, delivered=delivered, latency_p50=float("nan"), jitter=1e300))
+        sender.reported(ReceivedReport(route=1, delivered=delivered, latency_p50=float("nan"), jitter=1e300))
     assert [event.code for event in context.events.after(0)] == [EventCode.ROUTE_IMPLAUSIBLE_REPORT]
-    assert (route.latency.p50, route.latency.jitter) == (None, None)
-    check(route.ledger())
+    assert (sender.flow.latency.p50, sender.flow.latency.jitter) == (None, None)
+    check(sender.facts.ledger)
 
 
 @pytest.mark.parametrize(
@@ -254,10 +254,10 @@ def test_a_sender_s_impossible_ledger_is_not_shown(
     make_context: Callable[..., Context], topic: Topic, wrong: dict[str, Any]
 ) -> None:
     context = make_context(role="server")
-    route = half_of(IncomingRoute, context, topic, here=False)
-    route.open(1)
-    route.reported(SentReport(route=1, offered=7, delivered=4, unknown=2, in_flight=1))
-    route.reported(SentReport(route=1, verdict=VerdictRecord("down", "slow", "still told"), **wrong))
-    assert (route.ledger().offered, route.ledger().delivered, route.ledger().unknown) == (7, 4, 2)
-    assert route.judged.peer.text == "still told"
+    receiver = half_of(Receiver, context, topic, here=False)
+    receiver.route.open(1)
+    receiver.reported(SentReport(route=1, offered=7, delivered=4, unknown=2, in_flight=1))
+    receiver.reported(SentReport(route=1, verdict=VerdictRecord("down", "slow", "still told"), **wrong))
+    assert (receiver.facts.ledger.offered, receiver.facts.ledger.delivered, receiver.facts.ledger.unknown) == (7, 4, 2)
+    assert receiver.route.judged.peer.text == "still told"
     assert [event.code for event in context.events.after(0)] == [EventCode.ROUTE_IMPLAUSIBLE_REPORT]

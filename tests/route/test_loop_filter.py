@@ -20,7 +20,7 @@ from rsb_bridge.ros.announcements import Origin
 from rsb_bridge.ros.ros_interface import Endpoint, RawMessage
 from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.route.loop_filter import Publication, SourceTable
-from rsb_bridge.route.outgoing import OutgoingRoute
+from rsb_bridge.route.sender import Sender
 from rsb_bridge.wire.framing import SOURCE_SHIFT, Message
 from rsb_bridge.wire.messages import Describe, Ready
 
@@ -129,15 +129,15 @@ class Peer(FakePeer):
         self.channel = Channel()
 
     def open_channel(self, route: Any) -> None:
-        route.channel = self.channel
+        route.half.carried.channel = self.channel
 
-    def answer(self, route: OutgoingRoute) -> None:
+    def answer(self, sender: Sender) -> None:
         described = [each for each in self.sent if isinstance(each, Describe)][-1]
-        route.peer_ready(Ready(route=described.route, sources=len(described.sources)))
+        sender.peer_ready(Ready(route=described.route, sources=len(described.sources)))
 
 
 class World(NamedTuple):
-    route: OutgoingRoute
+    sender: Sender
     graph: Graph
     peer: Peer
     context: Context
@@ -148,16 +148,16 @@ class World(NamedTuple):
 
     @property
     def path(self) -> OutgoingPath:
-        return self.route._path
+        return self.sender.path
 
     @property
     def ledger(self) -> RouteLedger:
-        return ledger_of(self.route)
+        return ledger_of(self.sender)
 
     @property
     def held(self) -> int:
         """The number of messages whose publisher is being looked up."""
-        return self.route._loop_filter.holds
+        return self.sender.loop_filter.holds
 
     def wait(self, seconds: float) -> None:
         self.loop.run_until_complete(asyncio.sleep(seconds))
@@ -172,11 +172,11 @@ def world(loop: VirtualLoop, make_context: Callable[..., Context], request: pyte
     """The topic has other settings where a test gives the fixture some."""
     graph, peer, topic = Graph(), Peer(), Topic(SCAN, "transmit", **getattr(request, "param", {}))
     context = make_context(graph)
-    route = half_of(OutgoingRoute, context, topic, peer)
-    route.open(1)
-    route.on_accepted()
-    peer.answer(route)
-    return World(route, graph, peer, context, loop)
+    sender = half_of(Sender, context, topic, peer)
+    sender.route.open(1)
+    sender.route.on_accepted()
+    peer.answer(sender)
+    return World(sender, graph, peer, context, loop)
 
 
 def test_new_publisher_is_looked_up_by_first_message(world: World) -> None:
@@ -199,14 +199,14 @@ def test_messages_without_node_wait_in_order(world: World) -> None:
     assert world.sent == 100 * [b"x"]
     assert world.graph.asked == asked + 1
     world.graph.nodes[SECOND] = "/other"
-    world.route.advance()  # as the graph watch does at each change
+    world.sender.route.advance()  # as the graph watch does at each change
     world.comes(SECOND, b"100")
     assert world.sent[100:] == [b"%d" % number for number in range(101)]
 
 
 def test_unexplained_publisher_is_awaited_without_polling(world: World) -> None:
     world.graph.nodes[SECOND] = ""
-    world.route.advance()
+    world.sender.route.advance()
     world.comes(SECOND, b"1", b"2")
     asked = world.graph.asked
     world.wait(2.9)
@@ -240,7 +240,7 @@ def test_messages_of_other_source_await_peers_publisher(world: World) -> None:
         (hop(world.graph.node_name, SCAN),),
         (*via, hop(world.graph.node_name, SCAN)),
     ]
-    world.peer.answer(world.route)
+    world.peer.answer(world.sender)
     assert world.peer.channel.sent[1:] == [(b"1", 1 << SOURCE_SHIFT)]
 
 
@@ -249,51 +249,51 @@ def test_messages_without_peers_publisher_are_left_out(world: World) -> None:
     second = Endpoint(f"/{world.graph.node_name}", TYPE, TYPE_HASH, Qos(), SECOND)
     announcements.announce(SCAN, "another link", second, Origin((hop("rsb_elsewhere_1", SCAN),)))
     world.comes(SECOND, b"1")
-    world.route.peer_ready(Ready(route=1, sources=1))
+    world.sender.peer_ready(Ready(route=1, sources=1))
     assert world.sent == []
-    assert "left out" in world.route.snapshot().stages[0].detail
+    assert "left out" in world.sender.route.snapshot().stages[0].detail
 
 
 def test_excess_held_messages_are_lost_and_counted(world: World) -> None:
     world.graph.nodes[SECOND] = ""
     for _ in range(12):
         world.comes(SECOND, *(1000 * [b"x"]))
-    ledger = world.route.ledger()
+    ledger = world.sender.facts.ledger
     assert (ledger.offered, ledger.dropped) == (2000, {"queue full": 2000})
     world.comes(SECOND, *(40 * [bytes(1 << 20)]))
     assert world.held <= 32
-    world.route.close("link lost")
-    ledger = world.route.ledger()
+    world.sender.route.close("link lost")
+    ledger = world.sender.facts.ledger
     assert ledger.offered == sum(ledger.dropped.values()) == 12_040
 
 
 def test_large_first_message_survives_lookup(world: World) -> None:
     world.graph.nodes[SECOND] = ""
     world.comes(SECOND, bytes(8 << 20), b"small")
-    assert (world.held, world.route.ledger().dropped) == (2, {})
+    assert (world.held, world.sender.facts.ledger.dropped) == (2, {})
 
 
 def test_held_messages_do_not_outlive_a_pause(world: World) -> None:
     """A goal that is an hour old is sent to nobody."""
     world.graph.nodes[SECOND] = ""
     world.comes(SECOND, b"old goal")
-    world.route.pausing.change(paused=True)
+    world.sender.route.pausing.change(paused=True)
     world.wait(3600.0)
-    world.route.pausing.change(paused=False)
+    world.sender.route.pausing.change(paused=False)
     world.wait(10.0)
-    ledger = world.route.ledger()
+    ledger = world.sender.facts.ledger
     assert (world.sent, ledger.offered, ledger.dropped) == ([], 1, {"paused": 1})
 
 
 def test_awaited_publisher_is_no_failure_elsewhere(world: World) -> None:
     """It takes seconds at most, and heals by itself."""
     world.graph.nodes = {SECOND: ""}
-    world.route.close("closed")
-    world.route.open(3)
-    world.route.on_accepted()
-    world.route.tick()
-    assert "announce" in world.route.snapshot().reason
-    report = world.route.news()
+    world.sender.route.close("closed")
+    world.sender.route.open(3)
+    world.sender.route.on_accepted()
+    world.sender.route.tick()
+    assert "announce" in world.sender.route.snapshot().reason
+    report = world.sender.news()
     assert report is not None
     assert report.verdict is not None
     assert (report.verdict.state, report.verdict.cause) == (State.WAITING, Cause.NO_MESSAGE)
@@ -301,15 +301,15 @@ def test_awaited_publisher_is_no_failure_elsewhere(world: World) -> None:
 
 def test_a_loop_that_comes_again_is_said_again(world: World) -> None:
     for _ in range(2):
-        world.route.notices.set_loop("messages would loop")
-        world.route.notices.set_loop("")
+        world.sender.route.notices.set_loop("messages would loop")
+        world.sender.route.notices.set_loop("")
     codes = [event.code for event in world.context.events.after(0)]
     assert codes.count(EventCode.ROUTE_LOOP) == codes.count(EventCode.ROUTE_LOOP_GONE) == 2
 
 
 def test_a_removed_route_says_nothing_of_its_channel(world: World) -> None:
-    world.route.channel_lost(Reason("reset", EndCode.BROKE))
-    world.route.destroy()
+    world.sender.route.channel_lost(Reason("reset", EndCode.BROKE))
+    world.sender.route.destroy()
     world.wait(10.0)
     assert EventCode.ROUTE_CHANNEL_LOST not in [event.code for event in world.context.events.after(0)]
 
@@ -318,16 +318,16 @@ def test_distant_publisher_does_not_reopen_route_forever(world: World) -> None:
     """Anybody in the domain can announce so many hops."""
     announcements = world.context.announcements
     world.graph.nodes = {}
-    world.route.close("closed")
+    world.sender.route.close("closed")
     hops = tuple(hop(f"rsb_{number}_1", SCAN) for number in range(16))
     far = Endpoint(f"/{world.graph.node_name}", TYPE, TYPE_HASH, Qos(), SECOND)
     announcements.announce(SCAN, "another link", far, Origin(hops))
     openings = 0
     for _ in range(300):
-        if not world.route.id and world.loop.time() >= world.route.reopening.retry_at:
+        if not world.sender.route.id and world.loop.time() >= world.sender.route.reopening.retry_at:
             openings += 1
-            world.route.open(2 * openings + 1)
-            world.route.on_accepted()
-        world.route.advance()
+            world.sender.route.open(2 * openings + 1)
+            world.sender.route.on_accepted()
+        world.sender.route.advance()
         world.wait(1.0)
     assert openings == 1

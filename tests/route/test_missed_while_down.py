@@ -11,7 +11,7 @@ from tests.support.offline import half_of
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.reason import EndCode, Reason
 from rsb_bridge.model.session import Topic
-from rsb_bridge.route.outgoing import OutgoingRoute
+from rsb_bridge.route.sender import Sender
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -52,7 +52,7 @@ class NumberedGraph(Graph):
 def world(loop: VirtualLoop, make_context: Callable[..., Context]) -> World:
     graph, peer = NumberedGraph(), Peer()
     context = make_context(graph)
-    made = World(half_of(OutgoingRoute, context, Topic(SCAN, "transmit"), peer), graph, peer, context, loop)
+    made = World(half_of(Sender, context, Topic(SCAN, "transmit"), peer), graph, peer, context, loop)
     graph.publish(100, heard=False)
     reopen(made)
     graph.publish(3, heard=True)
@@ -61,21 +61,21 @@ def world(loop: VirtualLoop, make_context: Callable[..., Context]) -> World:
 
 
 def reopen(world: World) -> None:
-    world.route.open(1)
-    world.route.on_accepted()
-    world.peer.answer(world.route)
+    world.sender.route.open(1)
+    world.sender.route.on_accepted()
+    world.peer.answer(world.sender)
 
 
 def passes(world: World, seconds: int) -> None:
     """Let time pass, with the tick of each second."""
     for _ in range(seconds):
         world.wait(1.0)
-        world.route.tick()
+        world.sender.route.tick()
 
 
 def counts(world: World) -> tuple[int, int]:
     """Return the route's `missed_while_down` and `unsubscribed`."""
-    ledger = world.route.ledger()
+    ledger = world.sender.facts.ledger
     return ledger.missed_while_down, ledger.unsubscribed
 
 
@@ -86,20 +86,20 @@ def publish(world: World, count: int, *, heard: bool) -> None:
 
 def test_messages_of_each_outage_are_missed(world: World) -> None:
     for total in (11, 22):
-        world.route.close("link lost")
+        world.sender.route.close("link lost")
         publish(world, 7, heard=False)
         reopen(world)
         publish(world, 4, heard=False)  # DDS has not matched it yet
         assert counts(world) == (total - 11, 100), "only a further message tells"
         publish(world, 2, heard=True)
         assert counts(world) == (total, 100)
-    report = world.route.news()
+    report = world.sender.news()
     assert report is not None
     assert (report.missed_while_down, report.unsubscribed) == (22, 100)
 
 
 def test_early_break_of_data_connection_refuses_nothing(world: World) -> None:
-    world.route.channel_lost(Reason("Broken pipe", EndCode.BROKE))
+    world.sender.route.channel_lost(Reason("Broken pipe", EndCode.BROKE))
     publish(world, 5, heard=False)
     reopen(world)
     publish(world, 1, heard=True)
@@ -107,7 +107,7 @@ def test_early_break_of_data_connection_refuses_nothing(world: World) -> None:
 
 
 def test_messages_of_refused_topic_are_not_missed(world: World) -> None:
-    world.route.refuse(EventCode.ROUTE_REFUSED, Reason("not allowed"))
+    world.sender.route.refuse(EventCode.ROUTE_REFUSED, Reason("not allowed"))
     publish(world, 5, heard=False)
     reopen(world)
     publish(world, 1, heard=True)
@@ -117,11 +117,11 @@ def test_messages_of_refused_topic_are_not_missed(world: World) -> None:
 @pytest.mark.parametrize("first", ["paused", "lost"])
 def test_messages_of_paused_topic_are_not_missed(world: World, first: str) -> None:
     if first == "paused":
-        world.route.pausing.change(paused=True)
-    world.route.close("link lost")
-    world.route.pausing.change(paused=True)
+        world.sender.route.pausing.change(paused=True)
+    world.sender.route.close("link lost")
+    world.sender.route.pausing.change(paused=True)
     publish(world, 5, heard=False)
-    world.route.pausing.change(paused=False)
+    world.sender.route.pausing.change(paused=False)
     reopen(world)
     publish(world, 1, heard=True)
     assert counts(world) == (0, 105)

@@ -14,7 +14,7 @@ from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.ros_interface import RawMessage
 from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.lease import LeaseHalf
-from rsb_bridge.route.outgoing import OutgoingRoute
+from rsb_bridge.route.route import Route
 from rsb_bridge.route.sending import remedy_for_size
 from rsb_bridge.route.topic_verdict import USE_TCP
 from rsb_bridge.transport.registry import default_transports
@@ -44,11 +44,11 @@ def outbox(world: World) -> Outbox:
 
 
 def limited(world: World) -> None:
-    world.route.limit.set_max_rate(10.0)
+    world.sender.route.limit.set_max_rate(10.0)
 
 
 def unlimited(world: World) -> None:
-    world.route.limit.set_max_rate(0.0)
+    world.sender.route.limit.set_max_rate(0.0)
 
 
 def test_rate_limit_is_on_path_while_set(world: World) -> None:
@@ -60,7 +60,7 @@ def test_rate_limit_is_on_path_while_set(world: World) -> None:
     sent = publish(world, 50)
     assert 0 < sent < 10
     assert ledger.throttled == 50 - sent
-    assert world.route.traffic.offered == 10 + sent  # a topic asks the link for no more than its own limit
+    assert world.path.traffic.offered == 10 + sent  # a topic asks the link for no more than its own limit
     unlimited(world)
     assert not path.gates.sourced
     assert publish(world, 10) == 10
@@ -76,9 +76,9 @@ def test_last_message_of_what_may_move_robot_passes(
     type_name: str, arm: bool, passes: bool, count: int, world: World
 ) -> None:
     """It may be the stop; it comes a beat later, and only if nothing follows it."""
-    world.route.type_name = type_name
+    world.sender.carried.type_name = type_name
     if arm:
-        armed(world.route.arming, world.context)
+        armed(world.sender.route.arming, world.context)
     limited(world)
     for number in range(count):
         world.path.offer([RawMessage(b"message %d" % number, world.context.stamps.now(), FIRST, lease=1)])
@@ -88,46 +88,46 @@ def test_last_message_of_what_may_move_robot_passes(
     assert heard[-1] == count - 1 if passes else heard == [0, 5][: len(heard)]
     assert heard == sorted(set(heard))
     assert len(heard) <= 2 + passes
-    ledger = world.route.ledger()
+    ledger = world.sender.facts.ledger
     assert (ledger.offered, ledger.throttled) == (count, count - len(heard))
 
 
-@pytest.mark.parametrize("ends", [OutgoingRoute.disarm, OutgoingRoute.close])
+@pytest.mark.parametrize("ends", [Route.disarm, Route.close])
 def test_waiting_messages_do_not_outlive_arming(ends: Callable[..., None], world: World) -> None:
-    armed(world.route.arming, world.context)
+    armed(world.sender.route.arming, world.context)
     limited(world)
     for payload in (b"moves", b"turns"):
         world.path.offer([RawMessage(payload, world.context.stamps.now(), FIRST, lease=1)])
-    ends(world.route, Disarmed.OPERATOR)
-    world.route.open(2)
-    world.route.on_accepted()
-    world.peer.answer(world.route)
-    armed(world.route.arming, world.context)
+    ends(world.sender.route, Disarmed.OPERATOR)
+    world.sender.route.open(2)
+    world.sender.route.on_accepted()
+    world.peer.answer(world.sender)
+    armed(world.sender.route.arming, world.context)
     world.wait(0.5)
     assert [each[4:] for each in world.sent] == [b"moves"]
-    assert world.route.ledger().open == 0
+    assert world.sender.facts.ledger.open == 0
 
 
 def test_age_is_asked_again_when_message_leaves_queue(world: World) -> None:
     ledger = world.ledger
-    world.route.age.settle((0.5,), armed=False)
+    world.sender.route.age.settle((0.5,), armed=False)
     world.peer.channel.congested = True
     assert publish(world, 2) == 0
     world.wait(1.0)
     world.peer.channel.congested = False
-    world.route.flush()
+    world.sender.route.flush()
     assert (ledger.offered, ledger.sent_now, ledger.expired) == (2, 0, 2)
 
 
 @pytest.mark.parametrize(("type_name", "kept"), [("geometry_msgs/msg/Twist", 1), ("std_msgs/msg/String", 3)])
 def test_of_velocities_that_waited_only_newest_is_sent(type_name: str, kept: int, world: World) -> None:
-    world.route.arming.demand(required=True, deadman=0.0)
-    world.route.type_name = type_name
+    world.sender.route.arming.demand(required=True, deadman=0.0)
+    world.sender.carried.type_name = type_name
     world.peer.channel.congested = True
     for number in range(3):
         world.path.receive([RawMessage(bytes(number), world.context.stamps.now(), FIRST)])
     world.peer.channel.congested = False
-    world.route.flush()
+    world.sender.route.flush()
     assert (world.ledger.sent_now, world.ledger.dropped["queue full"]) == (kept, 3 - kept)
     assert len(world.sent[-1]) == 4 + 2  # the number of the lease, and the newest message
 
@@ -136,7 +136,7 @@ def test_later_messages_are_lost_with_link(world: World) -> None:
     """It may be older than what arms the next opening."""
     ledger = world.ledger
     world.graph.sink([RawMessage(b"late", 0, FIRST)])
-    world.route.close("over")
+    world.sender.route.close("over")
     world.wait(0.1)
     assert (ledger.offered, ledger.dropped["link lost"]) == (1, 1)
     assert not world.sent
@@ -147,9 +147,9 @@ def test_uncarriable_messages_ask_nothing_of_link(world: World) -> None:
     outbox(world).largest = 50
     path.offer([RawMessage(bytes(size), 1, FIRST) for size in (10, 60, 20, 70)])
     assert world.sent == [bytes(10), bytes(20)]
-    assert (ledger.offered, ledger.dropped["too large"], world.route.traffic.offered) == (4, 2, 2)
+    assert (ledger.offered, ledger.dropped["too large"], world.path.traffic.offered) == (4, 2, 2)
     path.offer([RawMessage(bytes(60), 1, FIRST)])
-    assert (ledger.offered, ledger.dropped["too large"], world.route.traffic.offered) == (5, 3, 2)
+    assert (ledger.offered, ledger.dropped["too large"], world.path.traffic.offered) == (5, 3, 2)
 
 
 @pytest.mark.parametrize("world", [{"compression": "zstd"}], indirect=True)
@@ -179,7 +179,7 @@ def test_the_remedy_for_too_large_messages(protocol: Any, compression: Any, reme
 
 
 def test_a_message_without_a_channel_is_lost(world: World) -> None:
-    world.route.channel = None
+    world.sender.carried.channel = None
     assert publish(world, 3) == 0
     assert world.ledger.dropped["link lost"] == 3
 
@@ -191,15 +191,15 @@ def test_drops_of_silent_link_count_as_outage(world: World) -> None:
     world.peer.keepalive = SimpleNamespace(in_doubt=True)
     publish(world, 5)
     assert world.ledger.dropped == {"queue full": 1, "outage": 5}
-    assert world.route.ledger().waiting == 2
+    assert world.sender.facts.ledger.waiting == 2
 
 
 def test_nothing_that_is_disarmed_is_shown_to_operators(world: World) -> None:
-    world.route.arming.lease = LeaseHalf(world.context.clock.steady, world.context.ros.turns, lambda: None)
-    world.route.arming.demand(required=True, deadman=0.0)
-    world.route.peek_slot.wanted = True
+    world.sender.route.arming.lease = LeaseHalf(world.context.clock.steady, world.context.ros.turns, lambda: None)
+    world.sender.route.arming.demand(required=True, deadman=0.0)
+    world.sender.flow.peek_slot.wanted = True
     assert publish(world, 1) == 0
-    assert world.route.peek_slot.wanted
+    assert world.sender.flow.peek_slot.wanted
 
 
 @pytest.mark.parametrize("world", [{"keep": 60.0, "qos": 2}], indirect=True)
@@ -214,8 +214,8 @@ def test_messages_of_several_publishers_come_together(world: World) -> None:
     world.wait(61.0)
     world.path.receive([RawMessage(b"%d" % number, stamp, other if number else FIRST) for number in range(5)])
     world.wait(61.0)
-    world.path.back()
+    world.path.resume()
     world.peer.channel.congested = False
-    world.route.flush()
+    world.sender.route.flush()
     assert world.sent == [b"hello", b"quiet", b"0", b"3", b"4"]
     assert world.ledger.dropped == {"outage": 2}

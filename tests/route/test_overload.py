@@ -8,19 +8,21 @@ from typing import TYPE_CHECKING, Any, cast
 import pytest
 from tests.route.test_loop_filter import Channel
 
+from rsb_bridge.channel.scheduler import SendingChannel
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.transports import NO_PROFILE
 from rsb_bridge.route.catching_up import Backlog
+from rsb_bridge.route.half import Carried
 from rsb_bridge.route.ledger import RouteLedger
 from rsb_bridge.route.peer import PeerBudget
 from rsb_bridge.route.sending import Outbox, Overload, QueueLimits
+from rsb_bridge.route.topic_flow import AgreedEnd
 from rsb_bridge.transport.registry import default_transports
 from rsb_bridge.wire.messages import Propose
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from rsb_bridge.channel.scheduler import SendingChannel
     from rsb_bridge.wire.framing import Message
 
 AUTO = Qos(depth=500)
@@ -38,7 +40,9 @@ def outbox(qos: Qos | None = None, *, own: Qos | None = None) -> Outbox:
             profile=NO_PROFILE, linked=True, budget=PeerBudget(0.0), keepalive=SimpleNamespace(in_doubt=False)
         ),
     )
-    return Outbox(route, RouteLedger(), Backlog())
+    route.route = route
+    route.carried = Carried[SendingChannel]()
+    return Outbox(route, AgreedEnd(route), RouteLedger(), Backlog())
 
 
 class FullChannel(Channel):

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from rsb_bridge.context import Context
-    from rsb_bridge.route.incoming import IncomingRoute
+    from rsb_bridge.route.receiver import Receiver
     from rsb_bridge.wire.framing import Message
 
 MAX_AGE = 0.5
@@ -45,11 +45,11 @@ class Side:
         self.loop, self.ros = loop, OnePublisher()
         self.context = make_context(ros=self.ros)
         qos = Qos(durability="transient_local", depth=3) if kind == LATCHED else Qos()
-        self.route: IncomingRoute = opened(self.context, FakePeer(), "/x", qos)
+        self.receiver: Receiver = opened(self.context, FakePeer(), "/x", qos)
         self._kind, self._number = kind, 0
-        self._lease = armed(self.route.arming, self.context).number if kind == ARMED else 0
+        self._lease = armed(self.receiver.route.arming, self.context).number if kind == ARMED else 0
         if kind == AGED:
-            self.route.age.settle((MAX_AGE,), armed=False)
+            self.receiver.route.age.settle((MAX_AGE,), armed=False)
 
     def message(self, content: Message) -> Message:
         payload, _, flags = content
@@ -61,14 +61,14 @@ class Side:
         return payload, self.context.stamps.now(), flags
 
     def deliver(self, *contents: Message) -> None:
-        self.route.deliver([self.message(each) for each in contents])
+        self.receiver.deliver([self.message(each) for each in contents])
 
     @property
     def sizes(self) -> list[int]:
         return self.ros.published.sizes
 
     def counts(self) -> tuple[int, int, dict[str, int]]:
-        report = self.route.news()
+        report = self.receiver.news()
         assert report is not None
         return report.received, report.delivered, report.dropped
 
@@ -103,7 +103,7 @@ def test_old_message_is_dropped_before_dds(
     """Whether the thread has it already, or is busy."""
     side = Side(kind, loop, make_context)
     if not handed:
-        other = opened(side.context, side.route.peer, "/other")  # type: ignore[arg-type]
+        other = opened(side.context, side.receiver.route.peer, "/other")  # type: ignore[arg-type]
         other.deliver([grown(HUGE)])
     side.deliver((bytes(HUGE), 0, 0), (b"small", 0, 0))
     loop.jump(max(LASTS, MAX_AGE) * 1.1)
@@ -121,9 +121,9 @@ def test_disarmed_message_is_dropped_before_dds(
 ) -> None:
     side = Side(ARMED, loop, make_context)
     if not handed:
-        opened(side.context, side.route.peer, "/other").deliver([grown(HUGE)])  # type: ignore[arg-type]
+        opened(side.context, side.receiver.route.peer, "/other").deliver([grown(HUGE)])  # type: ignore[arg-type]
     side.deliver((bytes(HUGE), 0, 0), (b"small", 0, 0))
-    side.route.disarm(Disarmed.OPERATOR)
+    side.receiver.route.disarm(Disarmed.OPERATOR)
     side.settle()
     assert side.sizes == [HUGE] * (not handed)
     assert side.counts() == (2, 0, {"disarmed": 2})
@@ -136,12 +136,12 @@ def test_message_of_a_closed_opening_is_not_published(
     """It has not been counted, so that its sender counts it as lost with the link."""
     side = Side(kind, loop, make_context)
     side.deliver((b"small", 0, 0), (bytes(HUGE), 0, 0))
-    side.route.close("over")
+    side.receiver.route.close("over")
     side.settle()
     assert side.sizes == [5]
-    peer = side.route.peer
+    peer = side.receiver.route.peer
     assert isinstance(peer, FakePeer)
-    reopened(side.route)
+    reopened(side.receiver)
     (before,) = [each.before for each in peer.sent[-3:] if isinstance(each, Ready) and each.before]
     assert (before.received, before.delivered) == (1, 1)
 
@@ -150,7 +150,7 @@ def test_latched_message_outlives_its_opening(loop: HeldLoop, make_context: Call
     """The sender does not send it again, because the receiver has its number."""
     side = Side(LATCHED, loop, make_context)
     side.deliver((bytes(HUGE), 0, 0))
-    side.route.close("over")
+    side.receiver.route.close("over")
     side.settle()
     assert side.sizes == [HUGE]
 
@@ -158,7 +158,7 @@ def test_latched_message_outlives_its_opening(loop: HeldLoop, make_context: Call
 def test_late_latched_message_goes_to_the_other_thread(loop: HeldLoop, make_context: Callable[..., Context]) -> None:
     """It has waited for an output of DDS that had to be discovered."""
     side = Side(LATCHED, loop, make_context)
-    (topic,) = outputs_of(side.route).sinks
+    (topic,) = outputs_of(side.receiver).sinks
     assert isinstance(topic, LatchedTopic)
     side.ros.published.acknowledged = False
     for _ in range(4):
@@ -174,7 +174,7 @@ def test_late_latched_message_goes_to_the_other_thread(loop: HeldLoop, make_cont
 
 def test_aged_latched_message_is_dropped_before_dds(loop: HeldLoop, make_context: Callable[..., Context]) -> None:
     side = Side(LATCHED, loop, make_context)
-    side.route.age.settle((MAX_AGE,), armed=False)
+    side.receiver.route.age.settle((MAX_AGE,), armed=False)
     side.deliver((bytes(HUGE), 0, 0), (b"small", 0, 0))
     loop.jump(2 * MAX_AGE)
     side.settle()

@@ -67,14 +67,14 @@ def test_rate_is_of_topic_across_all_routes(
     ros, peer = OnePublisher(), FakePeer()
     context = make_context(ros=ros)
     for number in range(100):
-        route = opened(context, peer, "/cmd_vel")
-        route.limit.allow_here(1.0)
-        route.deliver([(b"forward", 0, 0)] * 10)
+        receiver = opened(context, peer, "/cmd_vel")
+        receiver.route.limit.allow_here(1.0)
+        receiver.deliver([(b"forward", 0, 0)] * 10)
         if number % 2:
-            route.destroy()
+            receiver.route.destroy()
     assert len(ros.published.sizes) == 2
     other = opened(context, peer, "/other")
-    other.limit.allow_here(1.0)
+    other.route.limit.allow_here(1.0)
     other.deliver([(b"hello", 0, 0)])
     assert len(ros.published.sizes) == 3
 

@@ -12,7 +12,7 @@ from rsb_bridge.model.reason import Reason
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
-from rsb_bridge.route.outgoing import OutgoingRoute
+from rsb_bridge.route.sender import Sender
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -26,12 +26,12 @@ SCAN = Topic("/scan", "transmit")
 
 def test_refused_route_is_always_asked_for_again(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
     context = make_context()
-    route = half_of(OutgoingRoute, context, SCAN)
+    sender = half_of(Sender, context, SCAN)
     pauses = []
     for number in range(3_000):
-        route.open(2 * number + 1)
-        route.refuse(EventCode.ROUTE_REFUSED, Reason("denied"))
-        pauses.append(route.reopening.retry_at - context.now())
+        sender.route.open(2 * number + 1)
+        sender.route.refuse(EventCode.ROUTE_REFUSED, Reason("denied"))
+        pauses.append(sender.route.reopening.retry_at - context.now())
         loop.jump(pauses[-1])
     assert pauses[:6] == [1.0, 2.0, 4.0, 8.0, 10.0, 10.0]
     assert max(pauses) < 10.001
@@ -40,11 +40,11 @@ def test_refused_route_is_always_asked_for_again(loop: VirtualLoop, make_context
 
 @pytest.mark.parametrize("state", ["refused", "paused"])
 def test_unsearched_publishers_are_not_called_missing(state: str, make_context: Callable[..., Context]) -> None:
-    route = half_of(OutgoingRoute, make_context(), Topic("/scan", "transmit", paused=state == "paused"))
-    route.open(1)
+    sender = half_of(Sender, make_context(), Topic("/scan", "transmit", paused=state == "paused"))
+    sender.route.open(1)
     if state == "refused":
-        route.refuse(EventCode.ROUTE_REFUSED, Reason("denied"))
-    (seen,) = [stage for stage in route.snapshot().stages if stage.name == "publisher seen"]
+        sender.route.refuse(EventCode.ROUTE_REFUSED, Reason("denied"))
+    (seen,) = [stage for stage in sender.route.snapshot().stages if stage.name == "publisher seen"]
     assert seen.done is None
 
 
@@ -54,41 +54,41 @@ def test_refusal_stands_while_route_is_tried_again(
 ) -> None:
     """Each try is refused a moment later; nothing of it is seen, on the screen or in the log."""
     context = make_context()
-    route = half_of(OutgoingRoute, context, SCAN)
-    route.open(1)
-    route.refuse(code, Reason("denied"))
+    sender = half_of(Sender, context, SCAN)
+    sender.route.open(1)
+    sender.route.refuse(code, Reason("denied"))
     events = len(context.events.after(0))
     shown = set()
     for number in range(1, 8):
         for _ in range(10):
             loop.jump(1.0)
-            route.tick()
-            shown.add((route.snapshot().state, route.snapshot().cause, route.snapshot().reason))
-        since = route.snapshot().since
-        route.open(2 * number + 1)
+            sender.route.tick()
+            shown.add((sender.route.snapshot().state, sender.route.snapshot().cause, sender.route.snapshot().reason))
+        since = sender.route.snapshot().since
+        sender.route.open(2 * number + 1)
         for accepted in (False, True):
             loop.jump(0.5)
             if accepted:
-                route.on_accepted()
-            route.tick()
-            shown.add((route.snapshot().state, route.snapshot().cause, route.snapshot().reason))
-        assert route.snapshot().since == since
-        route.refuse(code, Reason("denied"))
+                sender.route.on_accepted()
+            sender.route.tick()
+            shown.add((sender.route.snapshot().state, sender.route.snapshot().cause, sender.route.snapshot().reason))
+        assert sender.route.snapshot().since == since
+        sender.route.refuse(code, Reason("denied"))
     assert shown == {(State.DOWN, Cause.REFUSED, "denied")}
     assert len(context.events.after(0)) == events
 
 
 def test_refusal_is_over_once_later_opening_goes_on(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
     context = make_context()
-    route = half_of(OutgoingRoute, context, SCAN)
-    route.open(1)
-    route.refuse(EventCode.ROUTE_REFUSED, Reason("denied"))
+    sender = half_of(Sender, context, SCAN)
+    sender.route.open(1)
+    sender.route.refuse(EventCode.ROUTE_REFUSED, Reason("denied"))
     loop.jump(1.0)
-    route.open(3)
-    route.on_accepted()
+    sender.route.open(3)
+    sender.route.on_accepted()
     loop.jump(6.0)  # nobody publishes, so it goes no further
-    route.tick()
-    assert route.snapshot().state is State.WAITING
-    route.close("the link is down")
-    route.open(5)
-    assert route.snapshot().state is State.WAITING
+    sender.route.tick()
+    assert sender.route.snapshot().state is State.WAITING
+    sender.route.close("the link is down")
+    sender.route.open(5)
+    assert sender.route.snapshot().state is State.WAITING

@@ -15,7 +15,7 @@ from rsb_bridge.model.faults import PathFault
 from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.model.verdict import Cause, LinkCause
 from rsb_bridge.route.crossing import Crossing
-from rsb_bridge.route.topic_route import SilenceWatch
+from rsb_bridge.route.topic_flow import SilenceWatch
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -87,7 +87,7 @@ def test_expected_message_waits_for_a_silent_link(loop: VirtualLoop, make_contex
     context = make_context(ros=ros)
     regular, seldom = (opened(context, peer, topic) for topic in ("/odom", "/chat"))
     channel: Any = SimpleNamespace(ready=True, trouble=lambda: None, counts=lambda: Counts(newest=None))
-    regular.channel = seldom.channel = channel
+    regular.carried.channel = seldom.carried.channel = channel
 
     def causes(seconds: int, messages: int) -> list[str]:
         for _ in range(seconds):
@@ -95,10 +95,10 @@ def test_expected_message_waits_for_a_silent_link(loop: VirtualLoop, make_contex
                 loop.jump(0.1)
                 regular.deliver([(b"x", 0, 0)])
             loop.jump(1.0 - 0.1 * messages)
-            for route in (regular, seldom):
-                route.advance()
-                route.tick()
-        return [route.verdict().cause for route in (regular, seldom)]
+            for receiver in (regular, seldom):
+                receiver.route.advance()
+                receiver.route.tick()
+        return [receiver.route.verdict().cause for receiver in (regular, seldom)]
 
     fine, waits = Cause.NONE, Cause.AWAITS_LINK
     seldom.deliver([(b"x", 0, 0)])
@@ -114,13 +114,13 @@ def test_outage_is_no_silence_of_a_topic(loop: VirtualLoop, make_context: Callab
     """Else all topics would be stale for a second after each outage of 15 s."""
     ros = OnePublisher()
     ros.published.subscriber_count = 1
-    route = opened(make_context(ros=ros), FakePeer(), "/odom")
-    route.channel = SimpleNamespace(ready=True, trouble=lambda: None, counts=lambda: Counts(newest=None))  # type: ignore[assignment]
-    route.silence.own, route.silence.watch.after = True, STALE_AFTER
-    route.deliver([(b"x", 0, 0)])
-    route.away()
+    receiver = opened(make_context(ros=ros), FakePeer(), "/odom")
+    receiver.carried.channel = SimpleNamespace(ready=True, trouble=lambda: None, counts=lambda: Counts(newest=None))  # type: ignore[assignment]
+    receiver.flow.silence.own, receiver.flow.silence.watch.after = True, STALE_AFTER
+    receiver.deliver([(b"x", 0, 0)])
+    receiver.route.suspend()
     loop.jump(30.0)
-    route.back()
-    assert route.stale_since(Crossing.YES) is None
+    receiver.route.resume()
+    assert receiver.facts.stale_since(Crossing.YES) is None
     loop.jump(30.0)
-    assert route.stale_since(Crossing.YES) is not None
+    assert receiver.facts.stale_since(Crossing.YES) is not None

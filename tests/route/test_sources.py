@@ -121,7 +121,7 @@ class Route:
         return self.loop_filter.table
 
     def advance(self) -> None:
-        """Update the sources as `OutgoingRoute.advance` does."""
+        """Update the sources as `Sender.advance` does."""
         self.loop_filter.update(self.topic, self.remote_topic)
         sources = self.table.sources if self.table.closes_loop else self.table.to_describe()
         if sources and sources != self.described:

@@ -1,4 +1,4 @@
-"""Taps, which get all messages of a route: each once, in order, as it passes, beside viewers."""
+"""Taps, which get all messages of a receiver: each once, in order, as it passes, beside viewers."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ def test_each_of_messages_that_come_together_is_tapped(loop: HeldLoop, make_cont
     ros = OnePublisher()
     context = make_context(ros=ros)
     tapped = Tapped(context)
-    route = opened(context, FakePeer(), "/one")
-    route.deliver([(b"one", 0, 0), grown(LARGE), (b"three", 0, 0), (bytes(PUBLISHED_ASIDE + 1), 0, 0)])
-    route.deliver([(b"later", 0, 0), grown(100)])
+    receiver = opened(context, FakePeer(), "/one")
+    receiver.deliver([(b"one", 0, 0), grown(LARGE), (b"three", 0, 0), (bytes(PUBLISHED_ASIDE + 1), 0, 0)])
+    receiver.deliver([(b"later", 0, 0), grown(100)])
     while loop.held:
         loop.finish_one()
         loop.run_until_complete(asyncio.sleep(0.1))
@@ -55,17 +55,17 @@ def test_what_is_not_published_is_not_tapped(loop: HeldLoop, make_context: Calla
     ros = OnePublisher()
     context = make_context(ros=ros)
     tapped = Tapped(context)
-    route = opened(context, FakePeer(), "/one")
-    route.deliver([(b"one", 0, 0), (b"of an unknown source", 0, 15 << 4)])
+    receiver = opened(context, FakePeer(), "/one")
+    receiver.deliver([(b"one", 0, 0), (b"of an unknown source", 0, 15 << 4)])
     ros.published.refuses = True
-    route.deliver([(b"refused", 0, 0)])
+    receiver.deliver([(b"refused", 0, 0)])
     assert tapped.sizes == [3]
 
 
 def test_messages_from_ros_are_tapped_before_the_rate_limit(world: World) -> None:
     tapped = Tapped(world.context)
-    world.route.renew_tap()
-    world.route.limit.set_max_rate(10.0)
+    world.sender.flow.renew_tap()
+    world.sender.route.limit.set_max_rate(10.0)
     batch = [RawMessage(b"%d" % number, number, FIRST, number + 1, 0, SOURCE + number) for number in range(20)]
     world.path.offer(batch)
     assert len(world.sent) < 20
@@ -75,27 +75,27 @@ def test_messages_from_ros_are_tapped_before_the_rate_limit(world: World) -> Non
 
 def test_tap_and_viewer_see_one_message(world: World) -> None:
     tapped = Tapped(world.context)
-    world.route.renew_tap()
-    looking = world.loop.create_task(world.route.peek_slot.next())
+    world.sender.flow.renew_tap()
+    looking = world.loop.create_task(world.sender.flow.peek_slot.next())
     world.wait(0.1)
     for word in (b"one", b"two"):
         world.comes(FIRST, word)
     assert world.loop.run_until_complete(looking).payload == b"one"
     assert tapped.sizes == [3, 3]
-    assert world.route.peek_slot.wanted, "by the tap"
+    assert world.sender.flow.peek_slot.wanted, "by the tap"
 
 
 @pytest.mark.parametrize("is_viewed", [False, True])
 def test_route_asks_nothing_once_its_tap_is_gone(is_viewed: bool, world: World) -> None:
     tapped = Tapped(world.context)
-    world.route.renew_tap()
+    world.sender.flow.renew_tap()
     if is_viewed:
-        world.loop.create_task(world.route.peek_slot.next())
+        world.loop.create_task(world.sender.flow.peek_slot.next())
         world.wait(0.1)
     none: Any = lambda _, __: None  # noqa: E731
     world.context.tap_of = none
-    world.route.renew_tap()
-    assert world.route.peek_slot.wanted is is_viewed
+    world.sender.flow.renew_tap()
+    assert world.sender.flow.peek_slot.wanted is is_viewed
     world.comes(FIRST, b"one")
     assert not tapped
-    assert not world.route.peek_slot.wanted
+    assert not world.sender.flow.peek_slot.wanted

@@ -25,8 +25,10 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause, LinkCause
 from rsb_bridge.ros.publication_numbers import PublicationNumbers
-from rsb_bridge.route.incoming import IncomingRoute
-from rsb_bridge.route.outgoing import OutgoingRoute
+from rsb_bridge.route.receiver import Receiver
+from rsb_bridge.route.sender import Sender
+from rsb_bridge.route.sender_facts import SenderFacts
+from rsb_bridge.route.topic_flow import AgreedEnd
 from rsb_bridge.wire.records import ReceivedReport, SentReport, VerdictRecord
 
 if TYPE_CHECKING:
@@ -37,7 +39,6 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.model.snapshot import RouteSnapshot
     from rsb_bridge.route.route import Route
-    from rsb_bridge.route.topic_route import TopicRoute
 
 _LIFE = 2400
 _SEEDS = range(1, 13)
@@ -50,19 +51,23 @@ _SUBSCRIPTION: Any = SimpleNamespace(
 """One that works."""
 
 
-class Sending(OutgoingRoute):
+class Sending(Sender):
     """A half without a graph, whose subscription works."""
 
     def __init__(self, *args: Any, **fields: Any) -> None:
         super().__init__(*args, **fields)
-        self._subscription = _SUBSCRIPTION
+        self.subscription = _SUBSCRIPTION
+        self.facts = SenderFacts(
+            self.flow, AgreedEnd(self.route), self.counts, self.loop_filter, self.backlog, self.path,
+            _SUBSCRIPTION, self.resolver, self.health,
+        )  # fmt: skip
 
-    def _advance(self) -> None:
+    def proceed(self) -> None:
         pass
 
 
-class Receiving(IncomingRoute):
-    def _advance(self) -> None:
+class Receiving(Receiver):
+    def proceed(self) -> None:
         pass
 
 
@@ -79,38 +84,38 @@ class Life:
         )
         self.loop, self.peer = loop, FakePeer()
         kind: Any = random.choice([Sending, Sending, Receiving])
-        self.route: TopicRoute[Any] = half_of(kind, context, topic, self.peer)
+        self.half: Any = half_of(kind, context, topic, self.peer)
         self._every = 0  # s from one message to the next, or 0 for none
         self._later: dict[float, Callable[[], None]] = {}
         self._open()
 
     def _open(self) -> None:
-        self.route.open(1)
-        self.route.on_accepted()
-        self.route.channel = Channel()
+        self.half.route.open(1)
+        self.half.route.on_accepted()
+        self.half.carried.channel = Channel()
 
     def second(self) -> None:
         """Move time on to the next tick; half a second before, something may happen."""
         self.loop.jump(0.5)
         if self._random.random() < 0.008:
             self._random.choice(_EVENTS)(self)
-            self.route.advance()
+            self.half.route.advance()
         if (later := self._later.pop(self.loop.time(), None)) is not None:
             later()
-        if self._every and int(self.loop.time()) % self._every == 0 and self.route.id:
-            self.route.count(self._random.choice([1, 1, 3]), 100, self.loop.time())
+        if self._every and int(self.loop.time()) % self._every == 0 and self.half.route.id:
+            self.half.flow.count(self._random.choice([1, 1, 3]), 100, self.loop.time())
         self.loop.jump(0.5)
 
     def says(self) -> tuple[object, ...]:
         """Return its verdicts, events and rates."""
-        route = self.route
+        route = self.half.route
         events = [(event.time, event.code, event.text) for event in route.context.events.after(0)]
         shown = route.judged.shown(route.verdict())
         return shown, route.judged.announced, events, route.meter.rate, route.meter.bytes_per_second, self._history()
 
     def _history(self) -> tuple[int, ...]:
-        meter = self.route.meter
-        return (meter.history_at(self.loop.time()) if self.route.idle else tuple(meter.history))[-60:]
+        meter = self.half.route.meter
+        return (meter.history_at(self.loop.time()) if self.half.route.idle else tuple(meter.history))[-60:]
 
     # --- what may happen
 
@@ -118,13 +123,15 @@ class Life:
         self._every = self._random.choice([0, 1, 1, 2, 40])
 
     def look(self) -> None:
-        self.route.endpoints = self._random.choice([(), (TALKER,), (TALKER._replace(node="/other", gid=b"other"),)])
+        self.half.carried.endpoints = self._random.choice(
+            [(), (TALKER,), (TALKER._replace(node="/other", gid=b"other"),)]
+        )
 
     def pause(self) -> None:
-        self.route.pausing.change(paused=not self.route.pausing.paused)
+        self.half.route.pausing.change(paused=not self.half.route.pausing.paused)
 
     def reopen(self) -> None:
-        self.route.close("a test")
+        self.half.route.close("a test")
         self._open()
 
     def fill(self) -> None:
@@ -137,7 +144,7 @@ class Life:
     def _have(self, full: Fullness | None, fault: PathFault | None) -> None:
         self.peer.fullness.out = self.peer.fullness.into = full
         self.peer.path.fault = fault
-        self.route.judge_again()
+        self.half.route.judge_again()
         if full or fault:
             self._later[self.loop.time() + 30.0] = partial(self._have, None, None)
 
@@ -150,11 +157,11 @@ class Life:
             self._later[now + after] = partial(self._report, said)
 
     def _report(self, verdict: VerdictRecord | None) -> None:
-        report = ReceivedReport if self.route.outgoing else SentReport
-        self.route.reported(report(route=1, verdict=verdict))
+        report = ReceivedReport if self.half.route.outgoing else SentReport
+        self.half.reported(report(route=1, verdict=verdict))
 
     def limit(self) -> None:
-        self.route.limit.set_max_rate(self._random.choice([0.0, 0.5, 7.0]))
+        self.half.route.limit.set_max_rate(self._random.choice([0.0, 0.5, 7.0]))
 
 
 _EVENTS: list[Callable[[Life], None]] = [
@@ -188,16 +195,16 @@ def live(seed: int) -> int:
     with virtual_loop() as loop, virtual_loop() as other:
         make: Any = make_context.__wrapped__  # type: ignore[attr-defined]
         by_event, polled = Life(loop, make(loop)(), seed), Life(other, make(other)(), seed)
-        idle, shown = 0, shown_by(by_event.route)
+        idle, shown = 0, shown_by(by_event.half.route)
         for _ in range(_LIFE):
             by_event.second()
             polled.second()
-            polled.route.tick()
+            polled.half.route.tick()
             if by_event.peer.timetable.look(loop.time()):
-                by_event.route.tick()
-            idle += by_event.route.idle
+                by_event.half.route.tick()
+            idle += by_event.half.route.idle
             assert by_event.says() == polled.says(), f"seed {seed}, {loop.time():.0f} s"
-            before, shown = shown, shown_by(by_event.route)
+            before, shown = shown, shown_by(by_event.half.route)
             others: list[object] = differences(before, shown) if before and shown else []
             assert not others, f"seed {seed}, {loop.time():.0f} s: shown otherwise: {others}"
         return idle
@@ -211,7 +218,7 @@ def test_half_that_is_ticked_when_due_says_what_one_says_that_is_polled() -> Non
     assert live_all() > 0.2 * _LIFE * len(_SEEDS)
 
 
-def _never(*_: object) -> float:
+def _never(*_: object, **__: object) -> float:
     return inf
 
 

@@ -18,8 +18,10 @@ from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.ros.stand_in import NoRos
-from rsb_bridge.route.incoming import IncomingRoute
+from rsb_bridge.route.entry import Entry
 from rsb_bridge.route.message_check import EXPANDED_ASIDE, EXPANSION_A_TURN, EXPANSION_AT_ONCE, PUBLISHED_ASIDE
+from rsb_bridge.route.receiver import Receiver
+from rsb_bridge.route.route import Route
 from rsb_bridge.wire.framing import ZSTD
 from rsb_bridge.wire.messages import Describe, Propose
 from rsb_bridge.wire.records import Source
@@ -69,18 +71,20 @@ class OnePublisher(NoRos):
         return self.published
 
 
-def opened(context: Context, peer: FakePeer, topic: str, qos: Qos | None = None) -> IncomingRoute:
+def opened(context: Context, peer: FakePeer, topic: str, qos: Qos | None = None) -> Receiver:
     proposal = Propose(route=2, topic=topic, remote_topic=topic, from_client=False)
-    route = IncomingRoute(context, peer, Topic(topic, "receive"), proposal, proposed_here=False)
-    reopened(route, qos or Qos())
-    return route
+    entry = Entry(Topic(topic, "receive"), proposal)
+    receiver = Route(Receiver, context, peer, entry, proposed_here=False).half
+    assert isinstance(receiver, Receiver)
+    reopened(receiver, qos or Qos())
+    return receiver
 
 
-def reopened(route: IncomingRoute, qos: Qos = Qos()) -> None:  # noqa: B008
+def reopened(receiver: Receiver, qos: Qos = Qos()) -> None:  # noqa: B008
     """Begin an opening with one source."""
-    route.open(2)
-    route.on_accepted()
-    route.described(Describe(2, "std_msgs/msg/String", "RIHS01_" + "0" * 64, qos, (Source(("there",)),)))
+    receiver.route.open(2)
+    receiver.route.on_accepted()
+    receiver.described(Describe(2, "std_msgs/msg/String", "RIHS01_" + "0" * 64, qos, (Source(("there",)),)))
 
 
 def grown(size: int) -> Message:
@@ -188,8 +192,8 @@ def test_longest_messages_are_published_off_the_loop(loop: HeldLoop, make_contex
 
 def test_refused_long_message_counts_as_dropped(loop: HeldLoop, make_context: Callable[..., Context]) -> None:
     ros = OnePublisher()
-    route = opened(make_context(ros=ros), FakePeer(), "/one")
-    route.deliver([grown(HUGE), (b"small", 0, 0)])
+    receiver = opened(make_context(ros=ros), FakePeer(), "/one")
+    receiver.deliver([grown(HUGE), (b"small", 0, 0)])
     loop.finish_one()
     ros.published.refuses = True
     work, done = loop.held.popleft()
@@ -197,7 +201,7 @@ def test_refused_long_message_counts_as_dropped(loop: HeldLoop, make_context: Ca
     ros.published.refuses = False
     loop.run_until_complete(asyncio.sleep(0.1))
     assert ros.published.sizes == [5]
-    report = route.news()
+    report = receiver.news()
     assert report is not None
     assert (report.delivered, sum(report.dropped.values())) == (1, 1)
 
@@ -205,11 +209,11 @@ def test_refused_long_message_counts_as_dropped(loop: HeldLoop, make_context: Ca
 def test_long_message_of_earlier_opening_holds_nothing_up(loop: HeldLoop, make_context: Callable[..., Context]) -> None:
     ros, peer = OnePublisher(), FakePeer()
     context = make_context(ros=ros)
-    route, other = opened(context, peer, "/one"), opened(context, peer, "/other")
-    route.deliver([grown(HUGE), (b"small", 0, 0)])
+    receiver, other = opened(context, peer, "/one"), opened(context, peer, "/other")
+    receiver.deliver([grown(HUGE), (b"small", 0, 0)])
     loop.finish_one()
     other.deliver([grown(LARGE)])
-    route.close("over")
+    receiver.route.close("over")
     while loop.held:
         loop.finish_one()
     assert ros.published.sizes == [LARGE]
@@ -221,12 +225,12 @@ def test_a_backlog_is_bounded(
 ) -> None:
     constants.CHECK_BACKLOG_LIMIT.set(monkeypatch, 100_000)
     ros = OnePublisher()
-    route = opened(make_context(ros=ros), FakePeer(), "/one")
-    route.deliver([grown(LARGE)])
-    route.deliver([(bytes(90_000), 0, 0)])
-    assert route.id
-    route.deliver([(bytes(20_000), 0, 0)])
-    assert not route.id
+    receiver = opened(make_context(ros=ros), FakePeer(), "/one")
+    receiver.deliver([grown(LARGE)])
+    receiver.deliver([(bytes(90_000), 0, 0)])
+    assert receiver.route.id
+    receiver.deliver([(bytes(20_000), 0, 0)])
+    assert not receiver.route.id
     while loop.held:
         loop.finish_one()
     assert not ros.published.sizes
@@ -234,12 +238,12 @@ def test_a_backlog_is_bounded(
 
 def test_what_waits_is_neither_shown_nor_measured(loop: HeldLoop, make_context: Callable[..., Context]) -> None:
     """Operators see the last message that was published, and its latency counts."""
-    route = opened(make_context(ros=OnePublisher()), FakePeer(), "/one")
-    now = route.context.stamps.now()
-    looking = loop.create_task(route.peek_slot.next())
+    receiver = opened(make_context(ros=OnePublisher()), FakePeer(), "/one")
+    now = receiver.route.context.stamps.now()
+    looking = loop.create_task(receiver.flow.peek_slot.next())
     loop.run_until_complete(asyncio.sleep(1.0))
     (first, _, flags), (second, _, _) = grown(LARGE), grown(LARGE + 1)
-    route.deliver([(first, now + 700_000_000, flags), (second, now, flags)])
+    receiver.deliver([(first, now + 700_000_000, flags), (second, now, flags)])
     loop.finish_one()
     shown = loop.run_until_complete(looking)
     assert shown.size == LARGE
@@ -249,9 +253,9 @@ def test_what_waits_is_neither_shown_nor_measured(loop: HeldLoop, make_context: 
 def test_what_is_refused_waits_for_nothing(loop: HeldLoop, make_context: Callable[..., Context]) -> None:
     """The waiting bytes are bounded by the growth that a link's messages may have at once."""
     ros, peer = OnePublisher(), FakePeer()
-    route = opened(make_context(ros=ros), peer, "/one")
+    receiver = opened(make_context(ros=ros), peer, "/one")
     peer.budget.expansion.over_time.take(EXPANSION_AT_ONCE - LARGE, 0.0)
-    route.deliver([grown(LARGE)] * 100 + [(b"damaged", 0, ZSTD), (b"last", 0, 0)])
+    receiver.deliver([grown(LARGE)] * 100 + [(b"damaged", 0, ZSTD), (b"last", 0, 0)])
     loop.finish_one()
     assert ros.published.sizes == [LARGE, 4]
     assert not loop.held
@@ -259,9 +263,9 @@ def test_what_is_refused_waits_for_nothing(loop: HeldLoop, make_context: Callabl
 
 def test_an_opening_that_is_over_publishes_nothing_more(loop: HeldLoop, make_context: Callable[..., Context]) -> None:
     ros, peer = OnePublisher(), FakePeer()
-    route = opened(make_context(ros=ros), peer, "/one")
-    route.deliver([grown(LARGE), grown(LARGE)])
-    route.close("over")
+    receiver = opened(make_context(ros=ros), peer, "/one")
+    receiver.deliver([grown(LARGE), grown(LARGE)])
+    receiver.route.close("over")
     loop.finish_one()
     assert not ros.published.sizes
     assert not loop.held

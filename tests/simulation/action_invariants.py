@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
-import contextlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from tests.support import replaced
 from tests.support.held import held_by
-from tests.support.inside import kept_results, numbers_of, pending_calls, timer_of, waiting_frames
+from tests.support.inside import numbers_of, pending_calls, timer_of, waiting_frames
 
-from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL
-from rsb_bridge.route.calls.calling import CallingRoute
-from rsb_bridge.route.calls.calling_action import CallingActionRoute
-from rsb_bridge.route.calls.kept_calls import INTERRUPTION
-from rsb_bridge.route.calls.providing import ProvidingRoute
-from rsb_bridge.route.calls.providing_action import ProvidingActionRoute
+from rsb_bridge.route.calls.caller import Caller
+from rsb_bridge.route.calls.caller_goals import CallerGoals
+from rsb_bridge.route.calls.provider import Provider
+from rsb_bridge.route.calls.provider_goals import ProviderGoals
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from tests.simulation.action_flow import ActionFlow
     from tests.simulation.engine_host import Run
     from tests.simulation.goals import Goal
@@ -26,8 +20,6 @@ if TYPE_CHECKING:
     from tests.simulation.world import World
 
     from rsb_bridge.link.link import Link
-    from rsb_bridge.route.calls.calls_route import CallsRoute
-    from rsb_bridge.wire.headers import CallFrame
 
 REACHED_WITHIN = 15.0
 """s from when nothing keeps an action from being reached until its clients see it."""
@@ -35,9 +27,6 @@ WITHDRAWN_WITHIN = 45.0
 """s until a server that was killed is seen no more, and is offered no more."""
 TOLD_WITHIN = 10.0
 """s from then, or from an event, until everybody who waits for it knows."""
-_BEFORE = 1.0
-"""s before an opening in which what is asked may not be with the bridge yet."""
-_MUCH_LATER = 0.9 * INTERRUPTION
 
 
 class ActionInvariants:
@@ -45,7 +34,6 @@ class ActionInvariants:
         self._world = world
         self._patience = world.conditions.patience
         self._can_be_reached: dict[ActionFlow, float] = {}
-        self._openings: dict[ProvidingRoute, tuple[int, bool, set[bytes]]] = {}
 
     def check(self) -> None:
         for action in self._world.action_flows.values():
@@ -60,7 +48,9 @@ class ActionInvariants:
         dead_is_seen = action.dead_is_seen
         gone = action.server is None and not dead_is_seen
         if near is not None and offered(near, action):
-            if not any(link.linked or link.away_since is not None for link in near.links() if link.name == robot.name):
+            if not any(
+                link.linked or link.suspended_since is not None for link in near.links() if link.name == robot.name
+            ):
                 world.wrong(f"{action}: clients see a server, and the link is down")
             waited = now - max(action.changed, world.clear_since(robot))
             if gone and waited > self._patience * WITHDRAWN_WITHIN and not robot.troubles:
@@ -68,7 +58,7 @@ class ActionInvariants:
         if (
             ends is None or robot.troubles or action.troubles or action.server is None or dead_is_seen
             or len(halves) < len(ends)
-            or not all(link.linked for link in ends) or any(half.pausing.paused for half in halves)
+            or not all(link.linked for link in ends) or any(half.route.pausing.paused for half in halves)
         ):  # fmt: skip
             self._can_be_reached.pop(action, None)
             return
@@ -85,9 +75,6 @@ class ActionInvariants:
             world.wrong(f"{action}: it can be reached, and is not offered; {said(world, action)}")
         soon = self._patience * TOLD_WITHIN
         for goal in action.waiting():
-            if now - goal.sent > _MUCH_LATER:
-                goal.result = "given up"
-                continue
             asked = goal.asks
             if asked is None or asked.at is None:
                 waited = now - max(clear, goal.sent)
@@ -112,46 +99,8 @@ class ActionInvariants:
             return True  # the process that knew it was restarted
         if action.server is not None and action.server.remembers(goal.id):
             return False
-        robot = world.robot(action.robot)
-        return max(robot.commanded, action.changed) > goal.sent or world.loop.time() - goal.sent > _MUCH_LATER
-
-    # --- on the wire
-
-    @contextlib.contextmanager
-    def tapped(self) -> Iterator[None]:
-        """Watch the messages that reach the servers' engines over the links."""
-        take = replaced.PROVIDER_RECEIVE.value
-
-        def tap(route: ProvidingRoute, frame: CallFrame, *, readable: bool = True) -> None:
-            self._came(route, frame)
-            take(route, frame, readable=readable)
-
-        with replaced.PROVIDER_RECEIVE.during(tap):
-            yield
-
-    def _came(self, route: ProvidingRoute, frame: CallFrame) -> None:
-        """A cancel that was asked before an opening began comes before everything else."""
-        action = next((each for each in self._world.action_flows.values() if _is_half(route, each)), None)
-        if action is None:
-            return
-        opening, begun, cancels = self._openings.get(route, (0, False, set()))
-        if opening != route.id:
-            opening, begun, cancels = route.id, False, set()
-        about = frame.content[4:20]
-        goal = action.goals.get(about)
-        if frame.lane == CANCEL_GOAL and goal is not None and goal.cancel is not None and goal.cancel.at is not None:
-            if begun and about not in cancels and goal.cancel.at < route.opened_at - _BEFORE:
-                self._world.wrong(
-                    f"{action}: the cancel of {goal} comes after other calls: {said(self._world, action)}"
-                )
-            cancels.add(about)
-        self._openings[route] = opening, begun or frame.lane in (SEND_GOAL, GET_RESULT), cancels
-
-
-def _is_half(route: CallsRoute, action: ActionFlow) -> bool:
-    return (route.topic == action.near_name and route.remote_topic == action.far_name) or (
-        route.local_topic == action.far_name and route.peer.name == action.robot
-    )
+        ended = max((half.route.opened_at for half in halves_of(world, action)), default=goal.sent)
+        return max(world.robot(action.robot).commanded, action.changed, ended) > goal.sent
 
 
 def near_and_far(world: World, flow: ActionFlow | ServiceFlow) -> tuple[Run | None, Run | None]:
@@ -160,14 +109,14 @@ def near_and_far(world: World, flow: ActionFlow | ServiceFlow) -> tuple[Run | No
     return ends if flow.topic.direction == "transmit" else ends[::-1]
 
 
-def halves_of(world: World, action: ActionFlow) -> list[CallsRoute]:
+def halves_of(world: World, action: ActionFlow) -> list[Caller | Provider]:
     links: list[Link] = list(world.link_ends(world.robot(action.robot)) or ())
-    found: list[Any] = [route for link in links for route in link.routes.values() if route.topic == action.near_name]
-    return [route for route in found if isinstance(route, (CallingActionRoute, ProvidingActionRoute))]
+    found = [route.half for link in links for route in link.routes.values() if route.topic == action.near_name]
+    return [half for half in found if isinstance(half, Caller | Provider) and half.route.proposal.kind == "action"]
 
 
 def said(world: World, action: ActionFlow) -> str:
-    shown = [half.snapshot() for half in halves_of(world, action)]
+    shown = [half.route.snapshot() for half in halves_of(world, action)]
     return "; ".join(f"{each.state} {each.reason!r} {each.calls} {each.goals}" for each in shown)
 
 
@@ -176,41 +125,31 @@ def offered(run: Run, flow: ActionFlow | ServiceFlow) -> bool:
     return any(each.node == node for each in servers[flow.near_services[0]])
 
 
-def in_flight(route: CallsRoute) -> int:
-    waiting = len(route.waiting) if isinstance(route, CallingActionRoute) else 0
-    return len(pending_calls(route)) + waiting
-
-
-def left_of_ended_calls(route: CallsRoute) -> list[str]:
+def left_of_ended_calls(half: Caller | Provider) -> list[str]:
     """Return tables of a half that still hold ended calls."""
-    calls = pending_calls(route)
+    calls = pending_calls(half)
     found = [
         f"{frame.what.name} {frame.call} in the outbox"
-        for frame in waiting_frames(route)
+        for frame in waiting_frames(half)
         if frame.call and frame.what.name != "REFUSED" and frame.call not in calls
     ]
-    if isinstance(route, ProvidingRoute):
-        found += [f"number {number}" for number, call in numbers_of(route).items() if call not in calls]
-        kept = kept_results(route.results).items() if isinstance(route, ProvidingActionRoute) else ()
-        found += [f"{each} of {goal.hex()}" for goal, one in kept for each in one.calls if each not in calls]
+    if isinstance(half, Provider):
+        found += [f"number {number}" for number, call in numbers_of(half).items() if call not in calls]
     if not len(calls) and timer_of(calls) is not None and not held_by(calls):
         found.append("a timer")
     return found
 
 
-def left_at_rest(route: CallsRoute) -> list[str]:
+def left_at_rest(half: Caller | Provider) -> list[str]:
     """Return tables of a half that are not empty although no goal runs and no request can be repeated any more."""
-    found = left_of_ended_calls(route)
+    found = left_of_ended_calls(half)
     tables: dict[str, object] = {
-        "calls in flight": route.calls.in_flight,
-        "calls under way": len(pending_calls(route)),
-        "frames": len(waiting_frames(route)),
+        "calls in flight": half.flow.calls.in_flight,
+        "calls under way": len(pending_calls(half)),
+        "frames": len(waiting_frames(half)),
     }
-    if isinstance(route, CallingActionRoute):
-        tables |= {"waiting calls": len(route.waiting), "running goals": len(route.goals.running())}
-    if isinstance(route, ProvidingActionRoute):
-        tables |= {"kept results": len(kept_results(route.results)), "numbers": len(numbers_of(route.results))}
-        tables |= {"running goals": len(route.goals.running())}
-    budget = route.peer.budget
-    tables |= {"held of the budget": max((budget.asked if isinstance(route, CallingRoute) else budget.provided).held)}
+    if isinstance(half.kind, CallerGoals | ProviderGoals):
+        tables |= {"running goals": len(half.kind.goals.running())}
+    budget = half.route.peer.budget
+    tables |= {"held of the budget": max((budget.asked if isinstance(half, Caller) else budget.provided).held)}
     return found + [f"{length} {what}" for what, length in tables.items() if length]

@@ -13,7 +13,8 @@ from tests.simulation.services import Client, Server
 from tests.simulation.world import World
 
 from rsb_bridge.model.session import Topic
-from rsb_bridge.route.calls.calls_route import CallsRoute
+from rsb_bridge.route.calls.caller import Caller
+from rsb_bridge.route.calls.provider import Provider
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.calls import CallsSnapshot
     from rsb_bridge.model.snapshot import RouteSnapshot
     from rsb_bridge.ros.ros_interface import Request, Response
+    from rsb_bridge.route.half import Half
 
 TYPE = "std_srvs/srv/SetBool"
 SETTLED = 3.0
@@ -141,13 +143,16 @@ class CallHarness(Bed):
             hash_of(type_name) if type_hash is None else type_hash,
         )
 
-    def halves(self) -> tuple[CallsRoute, CallsRoute]:
+    def halves(self) -> tuple[Caller, Provider]:
         """The callers' half of the route, and the providing one."""
-        return _half(self.near), _half(self.far)
+        near, far = _half(self.near), _half(self.far)
+        assert isinstance(near, Caller)
+        assert isinstance(far, Provider)
+        return near, far
 
     def shown(self) -> tuple[RouteSnapshot, RouteSnapshot]:
         near, far = self.halves()
-        return near.snapshot(), far.snapshot()
+        return near.route.snapshot(), far.route.snapshot()
 
     def counted(self) -> tuple[CallsSnapshot, CallsSnapshot]:
         """Return both sides' counts, the callers' first, after checking that each adds up."""
@@ -168,8 +173,7 @@ class CallHarness(Bed):
         await until(lambda: client.endpoint.ready, 30.0)
 
 
-def _half(host: EngineHost) -> CallsRoute:
+def _half(host: EngineHost) -> Half:
     assert host.run is not None
     (route,) = [each for link in host.run.links() for each in link.routes.values() if each.proposal.kind != "topic"]
-    assert isinstance(route, CallsRoute)
-    return route
+    return route.half

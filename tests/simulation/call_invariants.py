@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections import Counter
 from typing import TYPE_CHECKING
 
-from tests.simulation.action_invariants import in_flight, left_of_ended_calls, near_and_far, offered
+from tests.simulation.action_invariants import left_of_ended_calls, near_and_far, offered
 from tests.support.inside import pending_calls
 
-from rsb_bridge.route.calls.calling import CallingRoute
-from rsb_bridge.route.calls.calls_route import CallsRoute
+from rsb_bridge.route.calls.caller import Caller
+from rsb_bridge.route.calls.provider import Provider
 from rsb_bridge.wire.headers import CALL_HEADER_LENGTH
 
 if TYPE_CHECKING:
@@ -46,18 +46,18 @@ class CallInvariants:
         for link in run.links():
             under_way: Counter[bool] = Counter()
             for route in link.routes.values():
-                if isinstance(route, CallsRoute):
-                    calls, held = route.calls, len(pending_calls(route))
-                    if calls.in_flight != in_flight(route):
+                if isinstance(half := route.half, Caller | Provider):
+                    calls, held = half.flow.calls, len(pending_calls(half))
+                    if calls.in_flight != held:
                         self._world.wrong(
                             f"{run.host.name}: {route.key} counts {calls.in_flight} calls in flight, and has "
-                            f"{in_flight(route)}: {calls.snapshot()}"
+                            f"{held}: {calls.snapshot()}"
                         )
-                    if left := left_of_ended_calls(route):
+                    if left := left_of_ended_calls(half):
                         self._world.wrong(f"{run.host.name}: of calls that are over, {route.key} has {left}")
-                    if held and not link.linked and link.away_since is None:
+                    if held and not link.linked and link.suspended_since is None:
                         self._world.wrong(f"{run.host.name}: {route.key} has {held} calls in flight without a link")
-                    under_way[isinstance(route, CallingRoute)] += held
+                    under_way[isinstance(half, Caller)] += held
             self._check_budget(run, link.budget, under_way)
 
     def _check_budget(self, run: Run, budget: PeerBudget, under_way: Counter[bool]) -> None:
@@ -73,7 +73,7 @@ class CallInvariants:
         robot = world.robot(service.robot)
         near, far = near_and_far(world, service)
         link = _link(near, robot) if near is not None else None
-        is_gone = link is None or not (link.linked or link.away_since is not None)
+        is_gone = link is None or not (link.linked or link.suspended_since is not None)
         if near is not None and is_gone and offered(near, service):
             world.wrong(f"{service}: it is offered, and the link is down")
         if near is not None and service.server is None and not service.dead_is_seen and offered(near, service):
@@ -105,13 +105,13 @@ class CallInvariants:
         if service.server is None:
             return False
         halves = [half for link in ends if (half := half_of(link, service)) is not None]
-        return len(halves) == len(ends) and not any(half.pausing.paused for half in halves)
+        return len(halves) == len(ends) and not any(half.route.pausing.paused for half in halves)
 
 
-def half_of(link: Link, service: ServiceFlow) -> CallsRoute | None:
+def half_of(link: Link, service: ServiceFlow) -> Caller | Provider | None:
     for route in link.routes.values():
-        if isinstance(route, CallsRoute) and route.topic == service.near_name:
-            return route
+        if isinstance(route.half, Caller | Provider) and route.topic == service.near_name:
+            return route.half
     return None
 
 
@@ -123,4 +123,5 @@ def _given_up(link: Link, service: ServiceFlow) -> int:
     half = half_of(link, service)
     if half is None:
         return -1
-    return half.calls.lost + half.calls.expired + half.calls.refused.total()
+    calls = half.flow.calls
+    return calls.lost + calls.expired + calls.refused.total()

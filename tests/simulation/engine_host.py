@@ -16,7 +16,7 @@ from rsb_bridge.engine.bridge import Bridge
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.commands import acting, on_console
 from rsb_bridge.model.snapshot import Snapshot
-from rsb_bridge.ros.ros_thread import Receiver, RosToLoopQueue
+from rsb_bridge.ros.ros_thread import BatchReceiver, RosToLoopQueue
 from rsb_bridge.telemetry.event_log import EventLog
 from rsb_bridge.telemetry.snapshot_publisher import ShownBridge, SnapshotPublisher
 
@@ -60,7 +60,7 @@ class WallClock(Clock):
 class _Queue(RosToLoopQueue):
     """Messages from the ROS side, whose thread never has to wait: it is the loop's own."""
 
-    def put(self, receiver: Receiver[T], batch: Sequence[T]) -> None:
+    def put(self, receiver: BatchReceiver[T], batch: Sequence[T]) -> None:
         self._loop.call_soon(receiver.offer, batch)
 
 

@@ -6,7 +6,6 @@ import asyncio
 import contextlib
 from typing import TYPE_CHECKING
 
-from tests.simulation.action_server import Plan
 from tests.simulation.faults import move, reset
 from tests.simulation.streams import StreamTransport
 from tests.support import constants
@@ -211,24 +210,6 @@ async def client_restarts(world: World, times: int) -> None:
             await robot.host.stop()
             await asyncio.sleep(10.0)
             robot.host.start()
-
-
-async def cancelled_while_cut(world: World) -> None:
-    """A robot's network is gone for half a minute; meanwhile one of its goals is over, and another one cancelled."""
-    (action,), (robot,) = world.action_flows.values(), world.robots
-    ends = robot.host.machine, world.server.machine
-    await asyncio.sleep(20.0)
-    goals = [action.send(Plan(runs=runs)) for runs in (5.0, 600.0, 45.0)]
-    await asyncio.sleep(1.0)
-    action.send(Plan(after=20.0))
-    await asyncio.sleep(0.3)
-    with world.trouble("cut", robot):
-        world.network.cut(*ends)
-        await asyncio.sleep(10.0)
-        if goals[1] is not None:
-            action.cancel(goals[1])
-        await asyncio.sleep(20.0)
-        world.network.heal(*ends)
 
 
 async def type_differs_for(world: World, seconds: float) -> None:

@@ -19,8 +19,7 @@ from rsb_bridge.channel.data_stream import StreamReceiver
 from rsb_bridge.model.limits import KEPT_DEPTH
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.route.calls.goals import MOST_GOALS
-from rsb_bridge.route.calls.kept_calls import MOST_RESULTS
-from rsb_bridge.route.incoming import IncomingRoute
+from rsb_bridge.route.receiver import Receiver
 
 if TYPE_CHECKING:
     from tests.simulation.engine_host import Run
@@ -28,8 +27,8 @@ if TYPE_CHECKING:
     from tests.simulation.world import Robot, World
 
     from rsb_bridge.link.link import Link
-    from rsb_bridge.route.outgoing import OutgoingRoute
     from rsb_bridge.route.route import Route
+    from rsb_bridge.route.sender import Sender
 
 LINKED_WITHIN = 15.0
 """s from the end of what kept a robot from being linked."""
@@ -56,8 +55,7 @@ _ITEMS, _ITEMS_EACH = 100, 20
 """In one table: so many, and so many more for each route and each link."""
 _BOUNDED = {
     ".goals._goals": MOST_GOALS,
-    ".results.kept": MOST_RESULTS,
-    ".undecided": MOST_RESULTS,
+    ".undecided": MOST_GOALS,
     ".sinks[]._waiting": KEPT_DEPTH,
     ".sinks[]._free": KEPT_DEPTH,
     "._outbox._queue.waiting": KEPT_DEPTH,
@@ -121,9 +119,9 @@ class Invariants:
         """Check that a reliable topic has lost no message with a stream of its opening, nor while its link was away."""
         for link in run.links():
             for route in link.routes.values():
-                if not (isinstance(route, IncomingRoute) and isinstance(route.channel, StreamReceiver)):
+                if not (isinstance(route.half, Receiver) and isinstance(route.half.carried.channel, StreamReceiver)):
                     continue
-                if route.resends and (lost := route.channel.counts().lost):
+                if route.resends and (lost := route.half.carried.channel.counts().lost):
                     self._world.wrong(f"{run.host.name}: {route.key} lost {lost} messages with a stream")
 
     # --- links
@@ -266,15 +264,15 @@ class Invariants:
         """Check that the parts of each ledger sum up, that none is negative, and that they equal the flows' counts."""
         world = self._world
         current = {id(route) for run in world.runs() for link in run.links() for route in link.routes.values()}
-        for route, account in tuple(world.accounts.items()):
-            if id(route) in current:
-                self._check_ledger(route, account)
+        for sender, account in tuple(world.accounts.items()):
+            if id(sender.route) in current:
+                self._check_ledger(sender, account)
             else:
-                del world.accounts[route]
+                del world.accounts[sender]
 
-    def _check_ledger(self, route: OutgoingRoute, account: Account) -> None:
-        world, now = self._world, self._world.loop.time()
-        ledger = route.ledger()
+    def _check_ledger(self, sender: Sender, account: Account) -> None:
+        world, now, route = self._world, self._world.loop.time(), sender.route
+        ledger = sender.facts.ledger
         parts = (
             ledger.delivered,
             ledger.throttled,
@@ -293,7 +291,7 @@ class Invariants:
             wrong = f"its parts sum up to {sum(parts)}"
         elif sum((ledger.offered - ledger.again, *untaken)) != (all_of_them := sum(account.newest.values())):
             wrong = f"{all_of_them} messages were published up to the newest that was taken"
-        elif ledger.offered != account.offered and not route.is_latched:
+        elif ledger.offered != account.offered and not sender.flow.is_latched:
             wrong = f"{account.offered} messages were taken"
         elif ledger.delivered > account.published:
             wrong = f"{account.published} messages were published"

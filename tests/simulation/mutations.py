@@ -14,7 +14,6 @@ from unittest.mock import patch
 import msgspec
 from tests.simulation.conditions import ACTIONS, CALLS, KEEPING, LIVELY, STILL, STORM, Conditions
 from tests.simulation.episodes import (
-    cancelled_while_cut,
     connections_reset,
     delayed,
     paused_while_away,
@@ -35,17 +34,14 @@ from rsb_bridge.link.link_session import LinkSession
 from rsb_bridge.link.route_ids import RouteIds
 from rsb_bridge.link.route_table import RouteTable
 from rsb_bridge.model.budgets import Backoff
-from rsb_bridge.model.calls import CANCEL_GOAL, SEND_GOAL
 from rsb_bridge.ros.publication_numbers import PublicationNumbers
-from rsb_bridge.route.calls.calling import CallingRoute
-from rsb_bridge.route.calls.calling_action import CallingActionRoute
 from rsb_bridge.route.calls.calls_ledger import CallFailures
-from rsb_bridge.route.calls.kept_calls import KeptCalls, KeptResults
 from rsb_bridge.route.calls.pending_calls import PendingCalls
+from rsb_bridge.route.calls.service_offer import ServiceOffer
 from rsb_bridge.route.combined_verdict import CombinedVerdict
-from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.lateness import LateWatch
 from rsb_bridge.route.ledger import OUTAGE, RouteLedger
+from rsb_bridge.route.receiver import Receiver
 from rsb_bridge.route.sending import Outbox, SendQueue
 from rsb_bridge.tasks import Tasks
 from rsb_bridge.wire.datagram import OrderedReader
@@ -147,41 +143,10 @@ def _end_for_nothing(self: Any, number: int) -> Any:
     return self._calls.pop(number, None)
 
 
-def _release_goals(self: Any) -> Any:
-    """Replace `KeptCalls.release` by a form that has goals sent again, too."""
-    goals = self.of(SEND_GOAL)
-    for call in goals:
-        self.end(call)
-    return [*_release(self), *goals]
-
-
-def _answer_oldest(self: Any, number: int, *rest: Any) -> Any:
-    """Replace `KeptResults.answered` by a form that answers the oldest request for a result."""
-    return _answered(self, next(iter(self._by_number), number), *rest)
-
-
-def _keep_no_cancel(self: Any, call: Any, now: float) -> Any:
-    """Replace `KeptCalls.keep` by a form that drops cancels."""
-    return call.lane != CANCEL_GOAL and _keep(self, call, now)
-
-
-def _cancels_last(self: Any) -> Any:
-    return _release(self)[::-1]
-
-
-def _forget_all(self: Any, _: float) -> None:
-    """Replace `KeptResults.expire` by a form that forgets the server's answers at once."""
-    for goal in [each for each, kept in self.kept.items() if kept.answer is not None]:
-        self._forget(goal)
-
-
-_answered = KeptResults.answered
-_keep = KeptCalls.keep
-_release = KeptCalls.release
-_back = LinkSession.back
 _drop = RouteLedger.drop
 _end = PendingCalls.end
 _open_resumed = DataReader.open_resumed
+_resume = LinkSession.resume
 _unacknowledged = DataStream.unacknowledged
 _write_resumed = DataWriter.write_resumed
 _settle = RouteLedger.settle
@@ -225,15 +190,15 @@ def _nothing_before(_: object, __: bytes, number: int) -> int:
 
 
 def _newest_is_left_out(self: Any, *connection: Any) -> Any:
-    """Replace `LinkSession.back` by one that leaves out the newest message but reports."""
-    again = _back(self, *connection)
+    """Replace `LinkSession.resume` by one that leaves out the newest message but reports."""
+    again = _resume(self, *connection)
     newest = next((each for each in reversed(again) if not isinstance(each, Report)), None)
     return tuple(each for each in again if each is not newest)
 
 
 def _newest_is_doubled(self: Any, *connection: Any) -> Any:
-    """Replace `LinkSession.back` by one that sends the newest message twice."""
-    again = _back(self, *connection)
+    """Replace `LinkSession.resume` by one that sends the newest message twice."""
+    again = _resume(self, *connection)
     return (*again, *again[-1:])
 
 
@@ -251,7 +216,7 @@ def _without_oldest(self: Any) -> Iterator[Any]:
 
 
 def _drop_half(self: Any, _: float) -> None:
-    """Replace `Outbox.back` by one that takes the older half for too old."""
+    """Replace `Outbox.resume` by one that takes the older half for too old."""
     self._ledger.drop("outage", len(self._queue.take(len(self) // 2, 1 << 30)))
 
 
@@ -291,8 +256,6 @@ def _differs(world: World) -> Coroutine[None, None, None]:
 
 _MANY = replace(STILL, topics=(4,), periods=(1.0, 4.0), checks=(1.0, 2.0))
 
-_GOALS = replace(STILL, topics=(0,), actions=(1,), periods=(0.0, 0.0), checks=(1.0, 2.0))
-
 _SILENT = replace(STILL, topics=(4,), periods=(1e9, 1e9))
 
 
@@ -317,7 +280,7 @@ MUTATIONS = (
     Mutation("the delay between two calls overflows, and the task that calls is started again",
              ((Backoff, "next", _overflowing),), "nobody caught OverflowError", STILL, 1, 1.0, _away),
     Mutation("a count is taken from any process with the same route id",
-             ((RouteLedger, "settle", _settled_by_id), (IncomingRoute, "_counted_before", _counted_before)),
+             ((RouteLedger, "settle", _settled_by_id), (Receiver, "_counted_before", _counted_before)),
              "the ledger of", _MANY, 1, 4.0, restarted_while_cut),
     Mutation("what a process that was killed did not confirm is taken for lost",
              ((RouteLedger, "settle", _settled_as_lost),),
@@ -330,8 +293,8 @@ MUTATIONS = (
              ((Tasks, "_add", _kept),), "_tasks", STILL, 1, 3.0, _differs),
     Mutation("a stream is not closed with its link",
              ((DataStream, "end", nothing),), "left open", STORM, 2, 2.0),
-    Mutation("a route does not go on on the stream in place of a lost one",
-             ((StreamSender, "go_on", nothing),), "something is in flight", LIVELY, 1, 0.1, connections_reset),
+    Mutation("a route does not resume on the stream in place of a lost one",
+             ((StreamSender, "resume", nothing),), "something is in flight", LIVELY, 1, 0.1, connections_reset),
     Mutation("what waits to be sent is not cleared when the channel is lost",
              ((SendQueue, "clear", SendQueue.__len__),), "a part of it is negative", STORM, 2, 1.0),
     Mutation("a new connection is not told what is paused",
@@ -353,22 +316,7 @@ MUTATIONS = (
     Mutation("a call that is over keeps its place in the budget",
              ((PendingCalls, "end", _end_for_nothing),), "calls are in flight, and", CALLS, 1, 1.0),
     Mutation("a service is still offered when the link is down",
-             ((CallingRoute, "_withdraw", nothing),), "without a link|and the link is down", CALLS, 1, 1.0),
-    Mutation("a goal in flight is sent to the server again",
-             ((KeptCalls, "release", _release_goals),),
-             "came to the server 2 times", replace(ACTIONS, faults=20.0), 19, 0.1),
-    Mutation("a result goes to the first caller",
-             ((KeptResults, "answered", _answer_oldest),), "got the result of another goal", ACTIONS, 1, 1.0),
-    Mutation("who waits for a result is given up when the link drops",
-             ((CallingActionRoute, "_keep", nothing),), "waits for its result", _GOALS, 1, 0.05, cancelled_while_cut),
-    Mutation("what a server answered is not kept when the link drops",
-             ((KeptResults, "expire", _forget_all),),
-             "is unknown, and nothing explains that", _GOALS, 1, 0.05, cancelled_while_cut),
-    Mutation("cancels that were asked while the link was down go last",
-             ((KeptCalls, "release", _cancels_last),),
-             "comes after other calls", _GOALS, 1, 0.05, cancelled_while_cut),
-    Mutation("cancels that were asked while the link was down are not delivered",
-             ((KeptCalls, "keep", _keep_no_cancel),), "is to be cancelled", _GOALS, 1, 0.05, cancelled_while_cut),
+             ((ServiceOffer, "withdraw", nothing),), "without a link|and the link is down", CALLS, 1, 1.0),
     Mutation("calls that are lost are not counted",
              ((CallFailures, "lost", nothing),),
              "calls (are )?in flight, and", replace(ACTIONS, faults=20.0), 3, 0.2),
@@ -383,9 +331,9 @@ MUTATIONS = (
     Mutation("messages published without a subscription are not counted",
              ((PublicationNumbers, "first", _nothing_before),), "up to the newest", _OUTLIVES, 2, 0.5),
     Mutation("a control message is not sent again",
-             ((LinkSession, "back", _newest_is_left_out),), "disagree on which", _ONE, 1, 0.1, paused_while_away),
+             ((LinkSession, "resume", _newest_is_left_out),), "disagree on which", _ONE, 1, 0.1, paused_while_away),
     Mutation("a control message is sent twice",
-             ((LinkSession, "back", _newest_is_doubled),), "broke the format", _ONE, 1, 0.1, paused_while_away),
+             ((LinkSession, "resume", _newest_is_doubled),), "broke the format", _ONE, 1, 0.1, paused_while_away),
     Mutation("a number is skipped when messages are sent again",
              ((DataWriter, "write_resumed", _resumed_too_far),), "messages with a stream", _MOVES, 1, 0.5),
     Mutation("the oldest message is not sent again",
@@ -393,11 +341,11 @@ MUTATIONS = (
     Mutation("what is kept for a link is dropped as QoS allows",
              ((Outbox, "compose", nothing),), "was to be kept", KEEPING, 1, 0.5),
     Mutation("kept messages are dropped when the link is back",
-             ((Outbox, "back", _drop_half),), "was to be kept", KEEPING, 1, 0.5),
+             ((Outbox, "resume", _drop_half),), "was to be kept", KEEPING, 1, 0.5),
     Mutation("handled control messages are not counted",
              ((LinkSession, "handles", nothing),), "nobody caught", _OUTLIVES, 1, 0.5),
     Mutation("routes over datagrams stay with the last connection",
-             ((DatagramEnd, "go_on", nothing),), "nobody caught", _OUTLIVES, 3, 0.2),
+             ((DatagramEnd, "resume", nothing),), "nobody caught", _OUTLIVES, 3, 0.2),
     Mutation("lost datagrams are not sent again",
              ((ReliableSender, "_lost", nothing),), "could flow", _OUTLIVES, 3, 0.2),
     Mutation("a datagram that is sent again comes again",
@@ -405,10 +353,8 @@ MUTATIONS = (
     Mutation("messages overtake a lost one",
              ((OrderedReader, "_whole", _at_once),), "came out", _OUTLIVES, 3, 0.2),
     Mutation("a session is resumed with another process",
-             ((LinkSession, "may_go_on", _anybodys), (LinkSession, "goes_on", _anybodys),
+             ((LinkSession, "may_resume", _anybodys), (LinkSession, "resumes", _anybodys),
               (LinkSession, "acknowledge", nothing)),
              "nobody caught|broke the format", _OUTLIVES, 1, 0.5),
-    Mutation("a call that waits for a result is not forgotten with its opening",
-             ((KeptResults, "is_over", nothing),), "of calls that are over", replace(ACTIONS, faults=20.0), 4, 0.1),
 )
 # fmt: on

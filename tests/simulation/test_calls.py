@@ -21,20 +21,20 @@ from rsb_bridge.link.link import Link
 from rsb_bridge.model.commands import ArmTopic, DisarmTopic, PauseTopics
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
-from rsb_bridge.route.calls.calling import CallingRoute
 from rsb_bridge.route.peer import CallLimits
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from rsb_bridge.route.calls.calls_route import CallsRoute
+    from rsb_bridge.route.calls.caller import Caller
     from rsb_bridge.route.calls.pending_calls import PendingCall
+    from rsb_bridge.route.calls.provider import Provider
 
 _WITHDRAWN_WITHIN = 1.0
 
 
-def under_way(route: CallsRoute) -> list[PendingCall]:
-    return [call for _, call in pending_calls(route).items()]
+def under_way(half: Caller | Provider) -> list[PendingCall]:
+    return [call for _, call in pending_calls(half).items()]
 
 
 async def asked(harness: CallHarness) -> tuple[ScriptedServer, ScriptedClient]:
@@ -201,7 +201,7 @@ async def test_answer_waits_for_a_link_that_is_away(provider: str, harness: Call
 async def test_a_pause_gives_up_what_is_under_way(harness: CallHarness) -> None:
     server, client = await asked(harness)
     assert harness.far.run is not None
-    bridge, key = harness.far.run.bridge, harness.halves()[1].key
+    bridge, key = harness.far.run.bridge, harness.halves()[1].route.key
     await harness.far.run.command(bridge.do(PauseTopics(key, paused=True)))
     await until(lambda: not harness.offered, _WITHDRAWN_WITHIN)
     await asyncio.sleep(SETTLED)
@@ -223,7 +223,7 @@ async def test_arming(harness: CallHarness) -> None:
     assert not harness.offered
     assert say(harness)[0] == (State.DISARMED, Cause.DISARMED)
     assert harness.near.run is not None
-    bridge, key = harness.near.run.bridge, harness.halves()[0].key
+    bridge, key = harness.near.run.bridge, harness.halves()[0].route.key
     await harness.near.run.command(bridge.do(ArmTopic(key)))
     await harness.ready(client)
     client.ask()
@@ -242,7 +242,7 @@ async def _called_at_once(harness: CallHarness) -> None:
     assert harness.near.run is not None
     run, bridge = harness.near.run, harness.near.run.bridge
     for number in range(12):
-        client, key = harness.client(f"/client{number}"), harness.halves()[0].key
+        client, key = harness.client(f"/client{number}"), harness.halves()[0].route.key
         arms = harness.world.loop.create_task(run.command(bridge.do(ArmTopic(key))))
         while not client.endpoint.ready:  # the providing side has reasons to look at its graph meanwhile
             harness.server("/passer_by", suffix="_else").endpoint.close()
@@ -277,7 +277,7 @@ async def _offered_soon(harness: CallHarness) -> None:
         path.latency = (0.3, 0.3)
     await asyncio.sleep(SETTLED)
     assert harness.near.run is not None
-    arming = harness.near.run.bridge.do(ArmTopic(harness.halves()[0].key))
+    arming = harness.near.run.bridge.do(ArmTopic(harness.halves()[0].route.key))
     arms = harness.world.loop.create_task(harness.near.run.command(arming))
     await until(lambda: harness.offered, 1.5)
     await arms
@@ -331,8 +331,7 @@ async def test_types_that_differ_are_refused_on_both_sides(
 async def test_versions_are_asked_about_one_by_one(harness: CallHarness) -> None:
     asked: list[tuple[str, Callable[[str], None]]] = []
     near = harness.halves()[0]
-    assert isinstance(near, CallingRoute)
-    peer = cast("Any", near.peer)
+    peer = cast("Any", near.route.peer)
     peer.compare_types = lambda _, types, tell: asked.append((types[0].type_hash, tell))
     harness.near.domain.installed[TYPE] = hash_of(TYPE, 9)
     for version in range(4):
@@ -433,7 +432,7 @@ def test_the_providing_side_enforces_its_bounds(harness: CallHarness) -> None:
         server, client = harness.server(waits=True), harness.client()
         await harness.ready(client)
         near, _ = harness.halves()
-        with patch.object(near.peer.budget.asked, "take", lambda *_: None):
+        with patch.object(near.route.peer.budget.asked, "take", lambda *_: None):
             for _ in range(50):
                 client.ask()
             await until(lambda: harness.counted()[0].refused, 2.0)
@@ -441,8 +440,8 @@ def test_the_providing_side_enforces_its_bounds(harness: CallHarness) -> None:
         calls, peers = harness.counted()
         assert len(server.asked) == peers.in_flight == 12  # 10, and a quarter more
         assert calls.refused == peers.refused == {"calls under way": 38}
-        near.peer.budget.asked._calls.held = calls.in_flight  # as if it had kept to them
-        near.peer.budget.asked._bytes.held = sum(call.size for call in under_way(near))
+        near.route.peer.budget.asked._calls.held = calls.in_flight  # as if it had kept to them
+        near.route.peer.budget.asked._bytes.held = sum(call.size for call in under_way(near))
 
     with constants.CALL_LIMITS.during(CallLimits(under_way=10)):
         harness.world.play(life=harness.live(live()))
@@ -476,11 +475,11 @@ def test_over_one_stream_that_all_routes_share(provider: str, harness: CallHarne
         await until(lambda: client.right == 5, 10.0)
         near, far = harness.halves()
         for half in (near, far):
-            link = half.peer
+            link, channel = half.route.peer, half.carried.channel
             assert isinstance(link, Link)
             assert link.control is not None
-            assert isinstance(half.channel, StreamDuplex)
-            assert half.channel.via.stream is link.control.stream
+            assert isinstance(channel, StreamDuplex)
+            assert channel.via.stream is link.control.stream
 
     with replaced.TCP_MULTIPLEXED.during(True):
         harness.world.play(life=harness.live(live()))

@@ -28,7 +28,7 @@ PAUSED_FOR = 0.5
 every_way = pytest.mark.parametrize(("viewer_is_server", "transport"), [(False, "tcp"), (True, "tcp"), (False, "udp")])
 
 
-class Half:
+class InternalHalf:
     """One half of an internal route, and the wait until it is open."""
 
     def __init__(self, yard: Yard, internal: InternalRoutes[BytesSource, BytesDrain], route: Route) -> None:
@@ -76,14 +76,14 @@ class Opening:
         route = self._internal[0].open(
             purpose.route_name("1"), direction, depth=1, compression="none", transport=transport
         )
-        self.viewer = Half(yard, self._internal[0], route)
+        self.viewer = InternalHalf(yard, self._internal[0], route)
 
-    async def sender(self) -> Half:
+    async def sender(self) -> InternalHalf:
         """Wait until the proposal has come, and return the half that it makes."""
         link = self._links[1]
         while not (found := [each for each in link.routes.values() if each.purpose is self._purpose]):  # noqa: ASYNC110 — as above
             await asyncio.sleep(SOON)
-        return Half(self._yard, self._internal[1], found[0])
+        return InternalHalf(self._yard, self._internal[1], found[0])
 
 
 @every_way

@@ -76,9 +76,9 @@ def test_a_limit_that_is_raised_counts_at_once() -> None:
     def window() -> int:
         run = world.robots[0].host.run
         assert run is not None
-        (half,) = run.links()[0].routes.values()
-        assert isinstance(half.channel, DatagramSender)
-        return half.channel.via.pacer.window
+        (half,) = [route.half for route in run.links()[0].routes.values()]
+        assert isinstance(half.carried.channel, DatagramSender)
+        return half.carried.channel.via.pacer.window
 
     async def live() -> None:
         await asyncio.sleep(20.0)

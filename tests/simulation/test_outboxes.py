@@ -41,4 +41,4 @@ async def test_nothing_waits_of_calls_that_have_expired(provider: str, harness: 
         await until(over, 15.0)
         assert not waiting_frames(near)
         assert not waiting_frames(far)
-        assert "did not answer" not in far.calls.last_failure, "the node did, and the link is at fault"
+        assert "did not answer" not in far.flow.calls.last_failure, "the node did, and the link is at fault"

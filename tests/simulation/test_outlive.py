@@ -28,12 +28,12 @@ _BUSY = replace(CALLS, faults=10.0, commands=60.0)
 @pytest.mark.parametrize("conditions", [LIVELY, STORM, _BUSY, ACTIONS, KEEPING], ids=lambda each: each.name)
 def test_nothing_stays_wrong(conditions: Conditions, seed: int) -> None:
     world = World(seed, replace(conditions, outlive=conditions.outlive or 60.0, moves=conditions.faults, nights=0.0))
-    with patch.object(LinkSession, "back", autospec=True, side_effect=LinkSession.back) as went_on:
+    with patch.object(LinkSession, "resume", autospec=True, side_effect=LinkSession.resume) as resumed:
         try:
             world.play(1800)
         except Violation as violation:
             pytest.fail(str(violation), pytrace=False)
-    assert went_on.called or seed not in _SEEDS, "no link went on with its session"
+    assert resumed.called or seed not in _SEEDS, "no link went on with its session"
 
 
 @pytest.mark.parametrize("seed", [*_SEEDS, *long(*range(3, 12))])
@@ -41,15 +41,15 @@ def test_link_moves_from_connections_that_carry_nothing(seed: int) -> None:
     """Only the old ones carry nothing: another one is up before either side gives the link up."""
     world = World(seed, replace(LIVELY, outlive=60.0, nights=0.0, faults=0.0, commands=0.0))
     with (
-        patch.object(LinkSession, "back", autospec=True, side_effect=LinkSession.back) as went_on,
-        patch.object(LinkSession, "away", autospec=True, side_effect=LinkSession.away) as away,
+        patch.object(LinkSession, "resume", autospec=True, side_effect=LinkSession.resume) as resumed,
+        patch.object(LinkSession, "suspend", autospec=True, side_effect=LinkSession.suspend) as suspended,
     ):
         try:
             world.play(900, connections_forgotten(world))
         except Violation as violation:
             pytest.fail(str(violation), pytrace=False)
-    assert went_on.call_count > 40
-    assert not away.called
+    assert resumed.call_count > 40
+    assert not suspended.called
 
 
 @pytest.mark.parametrize(
@@ -62,11 +62,11 @@ def test_link_stays_on_a_thin_or_slow_path(course: Callable[[World], Coroutine[N
     world = World(1, replace(STILL, outlive=60.0, topics=(2,)))
     with (
         patch.object(ClientLink, "_connect", autospec=True, side_effect=ClientLink._connect) as attempts,
-        patch.object(LinkSession, "back", autospec=True, side_effect=LinkSession.back) as went_on,
+        patch.object(LinkSession, "resume", autospec=True, side_effect=LinkSession.resume) as resumed,
     ):
         try:
             world.play(420.0, course(world))
         except Violation as violation:
             pytest.fail(str(violation), pytrace=False)
     assert attempts.call_count <= 4
-    assert went_on.call_count <= 4
+    assert resumed.call_count <= 4

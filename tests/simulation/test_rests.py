@@ -22,7 +22,7 @@ from tests.support.long import long_cases
 from rsb_bridge.model.commands import ArmTopic, DisarmTopic, KeepArmed, PauseTopics
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.route.arming import ArmingPhase
-from rsb_bridge.route.incoming import IncomingRoute
+from rsb_bridge.route.receiver import Receiver
 from rsb_bridge.route.rest_message import RestMessage
 
 if TYPE_CHECKING:
@@ -231,7 +231,7 @@ def test_overtaken_motion_is_not_heard() -> None:
 
 _MISTAKES: tuple[tuple[str, type, str], ...] = (
     ("no rest follows an arming", RestMessage, "begin"),
-    ("a link that is not heard is waited for", IncomingRoute, "lapsed"),
+    ("a link that is not heard is waited for", Receiver, "lapse"),
     ("a velocity holds for ever", RestMessage, "_hold"),
 )
 

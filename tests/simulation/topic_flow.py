@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.ros.ros_interface import RawMessage
-    from rsb_bridge.route.outgoing import OutgoingRoute
+    from rsb_bridge.route.sender import Sender
 
 _HEAD = struct.Struct("<4sIII")
 LATE = 2.5
@@ -61,14 +61,14 @@ class Account:
         self.forgotten = False
         self.last_offered = 0.0
 
-    def forget(self, route: OutgoingRoute, *, removed: bool = False) -> None:
-        """Note that the process that published for that route is gone; the route's ledger has its last report.
+    def forget(self, sender: Sender, *, removed: bool = False) -> None:
+        """Note that the process that published for that sender is gone; the sender's ledger has its last report.
 
         Args:
             removed: whether the receiving half was removed, and its process goes on.
         """
         self.forgotten = True
-        self.unreported = self.published - route.ledger().delivered
+        self.unreported = self.published - sender.facts.ledger.delivered
         if removed:
             self.removed = self.unreported
 

@@ -39,7 +39,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.names import ANNOUNCEMENT_TOPIC
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.snapshot import Level
-from rsb_bridge.route.outgoing import OutgoingRoute
+from rsb_bridge.route.sender import Sender
 
 if TYPE_CHECKING:
     from collections.abc import Coroutine, Iterator, Sequence
@@ -86,7 +86,7 @@ class World:
     """Everything, from a seed.
 
     Attributes:
-        accounts: what each route's sending half did, by the route.
+        accounts: what each sender did.
         breaks_format: whether the test itself sends what the protocol forbids.
     """
 
@@ -99,7 +99,7 @@ class World:
         self.topic_flows: dict[int, TopicFlow] = {}
         self.service_flows: dict[int, ServiceFlow] = {}
         self.action_flows: dict[int, ActionFlow] = {}
-        self.accounts: dict[OutgoingRoute, Account] = {}
+        self.accounts: dict[Sender, Account] = {}
         self.breaks_format = False
         self.log = WorldLog(self.loop)
         self.hosts: list[EngineHost] = []
@@ -239,7 +239,7 @@ class World:
             Violation: something happened that must not.
             TimeoutError: the life has not come to its end.
         """
-        with simulated(), self.invariants.actions.tapped():
+        with simulated():
             try:
                 self.loop.run_until_complete(self._play(seconds, doings, life))
             finally:
@@ -390,22 +390,23 @@ class World:
 
     def said(self, service: ServiceFlow) -> str:
         halves = [half_of(link, service) for link in self.link_ends(self.robot(service.robot)) or ()]
-        shown = [half.snapshot() for half in halves if half is not None]
+        shown = [half.route.snapshot() for half in halves if half is not None]
         return "; ".join(f"{each.state} {each.reason!r} {each.calls} {each.stages}" for each in shown)
 
     # --- the outside truth
 
     def forget(self, run: Run) -> None:
         """An engine ends: what it published and has not reported yet, nobody will hear of."""
-        for route, account in self.accounts.items():
-            if run is self.server.run or route.peer.name == run.host.session.name:
-                account.forget(route)
+        for sender, account in self.accounts.items():
+            if run is self.server.run or sender.route.peer.name == run.host.session.name:
+                account.forget(sender)
 
     def forget_route(self, removed: Route) -> None:
         """Do the same for one route whose receiving half is removed while the link is down."""
-        for route, account in self.accounts.items():
+        for sender, account in self.accounts.items():
+            route = sender.route
             if route.peer.name == removed.peer.name and route.remote_topic == removed.remote_topic:
-                account.forget(route, removed=True)
+                account.forget(sender, removed=True)
 
     def _begins(self, run: Run) -> None:
         self.log.tell(f"{run.host.name}: an engine begins")
@@ -413,16 +414,17 @@ class World:
         run.node.on_writer = lambda writer, _: self._advertised(writer)
 
     def _subscribed(self, run: Run, reader: Reader, origin: object) -> None:
-        routes = [route for link in run.links() if link.name == origin for route in link.routes.values()]
-        route = next((each for each in routes if isinstance(each, OutgoingRoute) and each.topic == reader.topic), None)
-        if route is None or reader.numbers is not publication_numbers_of(route):
-            return  # no route's, or it looks how many messages a publisher keeps
-        account = self.accounts.setdefault(route, Account())
+        halves = [route.half for link in run.links() if link.name == origin for route in link.routes.values()]
+        senders = [half for half in halves if isinstance(half, Sender) and half.route.topic == reader.topic]
+        if not senders or reader.numbers is not publication_numbers_of(senders[0]):
+            return  # no sender's, or it looks how many messages a publisher keeps
+        sender = senders[0]
+        account = self.accounts.setdefault(sender, Account())
 
         def took(batch: Sequence[RawMessage]) -> None:
             label = label_of(batch[0].payload)
             if label is not None:
-                self.topic_flows[label.flow].took(account, route.opened_at, batch)
+                self.topic_flows[label.flow].took(account, sender.route.opened_at, batch)
 
         reader.on_take = took
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from weakref import WeakSet
 
 import msgspec
-from tests.support.inside import inside, is_running, offers_of, outputs_of, renew_snapshot
+from tests.support.inside import inside, is_running, outputs_of, renew_snapshot
 from tests.support.participants import KnownNode, agree
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
@@ -20,9 +20,9 @@ from rsb_bridge.engine import Engine
 from rsb_bridge.model.calls import FEEDBACK
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Session, Topic
-from rsb_bridge.route.calls.calling_action import CallingActionRoute
-from rsb_bridge.route.incoming import IncomingRoute
-from rsb_bridge.route.outgoing import OutgoingRoute
+from rsb_bridge.route.calls.caller import Caller
+from rsb_bridge.route.receiver import Receiver
+from rsb_bridge.route.sender import Sender
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
     from rclpy.publisher import Publisher
     from tests.support.domain import Domain, Listener
+    from tests.support.offline import HalfT
     from tests.support.relay import Relay
 
     from rsb_bridge.api import EngineApi
@@ -181,9 +182,13 @@ def is_accepted(engine: Engine, topic: str) -> bool:
     return bool(found) and all(route.life.accepted for route in found)
 
 
-def outgoing(engine: Engine, topic: str) -> OutgoingRoute:
-    """Return a topic's sending route, whose counts are newer than the snapshot's."""
-    return next(route for route in _routes(engine) if isinstance(route, OutgoingRoute) and route.topic == topic)
+def _halves(engine: Engine, kind: type[HalfT]) -> list[HalfT]:
+    return [route.half for route in _routes(engine) if isinstance(route.half, kind)]
+
+
+def outgoing(engine: Engine, topic: str) -> Sender:
+    """Return a topic's sender, whose counts are newer than the snapshot's."""
+    return next(sender for sender in _halves(engine, Sender) if sender.route.topic == topic)
 
 
 def route(engine: EngineApi, topic: str) -> RouteSnapshot:
@@ -242,46 +247,44 @@ def opened(receiver: Engine) -> set[str]:
     A side that has lost a route's channel closes it a moment before the other one hears of that.
     """
     found = set()
-    for link in inside(receiver).role.links():
-        for route in tuple(link.routes.values()):
-            if isinstance(route, IncomingRoute) and route.connected:
-                senders = _senders(receiver, link.name, route)
-                if not senders or any(each.id == route.id and each._subscription.receives for each in senders):
-                    found.add(route.remote_topic)
+    for half in _halves(receiver, Receiver):
+        if half.route.connected:
+            senders = _senders(receiver, half.route)
+            if not senders or any(each.route.id == half.route.id and each.subscription.receives for each in senders):
+                found.add(half.route.remote_topic)
     return found
 
 
-def _senders(receiver: Engine, name: str, route: IncomingRoute) -> list[OutgoingRoute]:
-    """Return a route's other half, or None if it is in another process."""
-    bridges = [inside(each) for each in Bridge.started if each is not receiver and is_running(each)]
-    links = [link for bridge in bridges for link in bridge.role.links() if link.name == name]
+def _senders(receiver: Engine, route: Route) -> list[Sender]:
+    """Return a route's halves on the other side, or none if that is another process."""
+    others = [each for each in Bridge.started if each is not receiver and is_running(each)]
+    names = route.peer.name, route.topic, route.remote_topic
     return [
-        each
-        for link in links
-        for each in tuple(link.routes.values())
-        if isinstance(each, OutgoingRoute) and (each.topic, each.remote_topic) == (route.topic, route.remote_topic)
+        half
+        for other in others
+        for half in _halves(other, Sender)
+        if (half.route.peer.name, half.route.topic, half.route.remote_topic) == names
     ]
 
 
 def listened_to(engine: Engine) -> set[str]:
     """The topics that an engine publishes to somebody, asked of the publishers: the snapshot may be 1 s behind."""
-    incoming = [route for route in _routes(engine) if isinstance(route, IncomingRoute)]
-    return {route.remote_topic for route in incoming if outputs_of(route).subscriber_count}
+    receivers = _halves(engine, Receiver)
+    return {each.route.remote_topic for each in receivers if outputs_of(each).subscriber_count}
 
 
 def listeners(engine: Engine, topic: str) -> int:
     """How many subscriptions get what an engine publishes: a subscription may know of the publisher before that."""
     return sum(
-        outputs_of(route).subscriber_count
-        for route in _routes(engine)
-        if isinstance(route, IncomingRoute) and route.remote_topic == topic
+        outputs_of(each).subscriber_count for each in _halves(engine, Receiver) if each.route.remote_topic == topic
     )
 
 
 def feedback_listeners(engine: Engine) -> int:
     """Return the number of listeners to the feedback of the only action that an engine offers."""
-    (found,) = (route for route in _routes(engine) if isinstance(route, CallingActionRoute))
-    offered = offers_of(found).topics.get(FEEDBACK)
+    halves = (route.half for route in _routes(engine) if route.proposal.kind == "action")
+    (found,) = (half for half in halves if isinstance(half, Caller))
+    offered = found.offer.lanes.topics.get(FEEDBACK)
     return offered.publisher.subscriber_count if offered else 0
 
 

@@ -24,18 +24,16 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.node import RosNode
     from rsb_bridge.ros.participant import Participant
     from rsb_bridge.ros.publication_numbers import PublicationNumbers
-    from rsb_bridge.route.calls.calls_route import CallsRoute
-    from rsb_bridge.route.calls.kept_calls import KeptResult, KeptResults
+    from rsb_bridge.route.calls.calls_half import CallsHalf
     from rsb_bridge.route.calls.paced_client import PacedClient
     from rsb_bridge.route.calls.pending_calls import PendingCalls
-    from rsb_bridge.route.calls.providing import ProvidingRoute
-    from rsb_bridge.route.incoming import IncomingRoute
+    from rsb_bridge.route.calls.provider import Provider
     from rsb_bridge.route.ledger import RouteLedger
-    from rsb_bridge.route.outgoing import OutgoingRoute
+    from rsb_bridge.route.receiver import Receiver
+    from rsb_bridge.route.sender import Sender
     from rsb_bridge.route.source_publishers import SourcePublishers
     from rsb_bridge.transport.streams import Stream
     from rsb_bridge.wire.headers import CallFrame
-    from rsb_bridge.wire.messages import Provide
 
 
 def inside(engine: Engine) -> Bridge:
@@ -51,7 +49,7 @@ def _bridge_of(engine: Engine) -> Bridge | None:
 
 def pretend_linked(link: Link, control: Any) -> None:
     """Let a link have a connection of which there is only a stand-in of its control channel."""
-    channels: Any = SimpleNamespace(control=control, is_silent=False, away=lambda _: None, close=lambda: None)
+    channels: Any = SimpleNamespace(control=control, is_silent=False, suspend=lambda _: None, close=lambda: None)
     link._channels, link.session = channels, LinkSession(bytes(8), "", channels)
     link.outlives = link.own_outlive  # as if the peer's session were this one's
 
@@ -100,60 +98,41 @@ def socket_of(stream: Stream) -> socket.socket:
     return found
 
 
-def ledger_of(route: OutgoingRoute) -> RouteLedger:
-    """Return a route's own counts, which a snapshot has up to a second later."""
-    return route._ledger
+def ledger_of(sender: Sender) -> RouteLedger:
+    """Return a sender's own counts, which a snapshot has up to a second later."""
+    return sender.counts
 
 
-def publication_numbers_of(route: OutgoingRoute) -> PublicationNumbers:
-    return route._subscription.numbers
+def publication_numbers_of(sender: Sender) -> PublicationNumbers:
+    return sender.subscription.numbers
 
 
-def outputs_of(route: IncomingRoute) -> SourcePublishers:
-    return route.outputs
+def outputs_of(receiver: Receiver) -> SourcePublishers:
+    return receiver.outputs
 
 
-def pending_calls(route: CallsRoute) -> Any:
+def pending_calls(half: CallsHalf) -> PendingCalls[Any]:
     """Return the table of a half's calls in flight."""
-    return route._pending
+    return half.under_way.pending
 
 
-def waiting_frames(route: CallsRoute) -> list[Any]:
+def waiting_frames(half: CallsHalf) -> list[Any]:
     """Return the frames of a half that wait for its channel."""
-    return list(route._outbox._frames.values())
+    return list(half.under_way.outbox._frames.values())
 
 
 def timer_of(calls: PendingCalls[Any]) -> asyncio.TimerHandle | None:
     return calls._timer
 
 
-def kept_results(results: KeptResults) -> dict[bytes, KeptResult]:
-    return results.kept
+def numbers_of(half: Provider) -> dict[Any, Any]:
+    """Return the other side's calls by the number of a call here."""
+    return half.under_way._by_number
 
 
-def numbers_of(thing: ProvidingRoute | KeptResults) -> dict[Any, Any]:
-    """Return the entries by the number of a call."""
-    return thing._by_number
-
-
-def refusal_of(route: ProvidingRoute, frame: CallFrame) -> Refused | None:
+def refusal_of(half: Provider, frame: CallFrame) -> Refused | None:
     """Return why a half refuses a call that comes, or None."""
-    return route._refusal(frame)
-
-
-def provide(route: ProvidingRoute, message: Provide) -> None:
-    """Let a half have told the other one what is provided."""
-    route._last_sent = message
-
-
-def offers_of(route: CallsRoute) -> Any:
-    """Return the open lanes of the callers' half."""
-    return route._offers  # type: ignore[attr-defined]
-
-
-def clients_of(route: CallsRoute) -> Any:
-    """Return the open lanes of the provider's half."""
-    return route._clients  # type: ignore[attr-defined]
+    return half.under_way._refusal(frame)
 
 
 def paced(client: PacedClient) -> Any:

@@ -87,6 +87,9 @@ _OF_CALLS: dict[str, Any] = {
     "waited": False,
     "unanswered": False,
     "refused": {},
+    "asked": 0,
+    "answered": 0,
+    "last_failure": "",
     "malformed": None,
     "failing_since": None,
     "timeout": 0.0,
@@ -134,16 +137,19 @@ def calls_half(now: float = 0.0, **facts: Any) -> Any:
     half.calls = SimpleNamespace(
         expired_lately=lambda: known["expired"], refused_lately=lambda: Counter(known["refused"])
     )
-    for name in ("in_flight", "unanswered"):
+    for name in ("in_flight", "unanswered", "asked", "answered", "last_failure"):
         setattr(half.calls, name, known[name])
     half.failures = SimpleNamespace(since=known["failing_since"])
     half.call_timeout = known["timeout"]
     half.last_malformed = lambda: known["malformed"]
-    half.unavailable = _always(known["unavailable"])
-    half.end_nodes = _always(((), known["providers"]))
+    half.end = SimpleNamespace(
+        offered=known["offered"],
+        warning=known["warning"],
+        unavailable=_always(known["unavailable"]),
+        nodes=_always(((), known["providers"])),
+    )
     half.stages = lambda: stages_with_link(half, (), (Stage("offered", None),))
-    for name in ("offered", "warning", "waited"):
-        setattr(half, name, known[name])
+    half.waited = known["waited"]
     return half
 
 
@@ -157,7 +163,7 @@ def _half(known: dict[str, Any], now: float) -> Any:
     """Make what topics and calls have in common."""
     why = Disarmed.NOT_YET if known["can_be_armed"] else Disarmed.LINK_SLOW
     refusal = known["refusal"]
-    return SimpleNamespace(
+    half = SimpleNamespace(
         outgoing=known["sends"],
         local_topic=known["topic"],
         far_topic=known["far_topic"],
@@ -165,7 +171,7 @@ def _half(known: dict[str, Any], now: float) -> Any:
         peer=SimpleNamespace(
             linked=known["link_down"] is None,
             down_reason=known["link_down"] or "",
-            away_since=None,
+            suspended_since=None,
             path=SimpleNamespace(fault=known["path"]),
         ),
         transport=SimpleNamespace(reliable=True),
@@ -185,6 +191,9 @@ def _half(known: dict[str, Any], now: float) -> Any:
         trouble=lambda: known["no_path"],
         away_text=lambda: known["link_down"] or "the link is down",
     )
+    # Its facts are those of all the parts.
+    half.route = half.flow = half.carried = half.listeners = half
+    return half
 
 
 def _always(value: Any) -> Callable[[], Any]:

@@ -16,9 +16,12 @@ from rsb_bridge.model.session import Session
 from rsb_bridge.model.transports import NO_PROFILE
 from rsb_bridge.ros.ros_thread import RosToLoopQueue
 from rsb_bridge.ros.stand_in import NoRos
+from rsb_bridge.route.entry import Entry
+from rsb_bridge.route.half import Half
 from rsb_bridge.route.idling import Timetable
 from rsb_bridge.route.lifecycle import Revisions
 from rsb_bridge.route.peer import PeerBudget
+from rsb_bridge.route.route import Route
 from rsb_bridge.telemetry.event_log import EventLog
 from rsb_bridge.telemetry.meters import ClockOffset
 from rsb_bridge.transport.registry import Transports, default_transports
@@ -29,10 +32,9 @@ if TYPE_CHECKING:
     from rsb_bridge.cdr.description import TypeVersion
     from rsb_bridge.model.purposes import Purpose
     from rsb_bridge.model.session import Topic
-    from rsb_bridge.route.route import Route
     from rsb_bridge.wire.messages import ControlMessageBase, Propose
 
-Half = TypeVar("Half")
+HalfT = TypeVar("HalfT", bound=Half)
 
 
 @pytest.fixture
@@ -80,7 +82,7 @@ class FakePeer:
     linked = True
     keepalive: Any = SimpleNamespace(ping_delay=0.0, ping_wait=0.0, in_doubt=False)
     down_reason = ""
-    away_since = None
+    suspended_since = None
     connections = 1
 
     def __init__(self) -> None:
@@ -130,12 +132,15 @@ def proposal_for(topic: Topic, context: Context, purpose: Purpose = ORDINARY) ->
 
 
 def half_of(
-    kind: Callable[..., Half], context: Context, topic: Topic, peer: FakePeer | None = None, *, here: bool = True
-) -> Half:
-    """Make a half of a topic's route, which is not open yet.
+    kind: type[HalfT], context: Context, topic: Topic, peer: FakePeer | None = None, *, here: bool = True
+) -> HalfT:
+    """Make a half of a route that is not open yet.
 
     Args:
-        kind: `OutgoingRoute` or another class of halves.
+        kind: `Sender` or another class of halves.
         here: whether this side has proposed it.
     """
-    return kind(context, peer or FakePeer(), topic, proposal_for(topic, context), proposed_here=here)
+    entry = Entry(topic, proposal_for(topic, context))
+    half = Route(kind, context, peer or FakePeer(), entry, proposed_here=here).half
+    assert isinstance(half, kind)
+    return half

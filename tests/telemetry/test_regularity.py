@@ -55,16 +55,15 @@ def watched(
             meter.add(1, 100, times[sent])
             sent += 1
         meter.tick(now)
-        publishers = [SimpleNamespace(gid=b"%d" % sum(end <= now for _, end in outages))]
-        half: Any = SimpleNamespace(
+        publishers: Any = [SimpleNamespace(gid=b"%d" % sum(end <= now for _, end in outages))]
+        route: Any = SimpleNamespace(
             spec=SimpleNamespace(expected_rate=given),
             meter=meter,
             limit=SimpleNamespace(rate=0.0),
-            endpoints=publishers,
         )
         had_stopped, was_slow = health.stop.since is not None, health.slow.since is not None
         last, usual = meter.last or 0.0, meter.usual_rate
-        health.judge(half, Ledger(), now, usual_rate=usual, quiet_since=last, flows=True, awaited=True)
+        health.judge(route, Ledger(), now, publishers, usual_rate=usual, quiet_since=last, flows=True, awaited=True)
         if health.stop.since is not None and not had_stopped:
             stopped.append(now)
         slow += health.slow.since is not None and not was_slow

@@ -262,7 +262,7 @@ def test_what_is_sent_again_comes_once(suite: CipherSuite) -> None:
 
 
 @SUITES
-def test_session_goes_on_under_other_keys(suite: CipherSuite) -> None:
+def test_route_resumes_under_other_keys(suite: CipherSuite) -> None:
     """The next connection has its own keys. Messages that have arrived are dropped, and incomplete ones discarded."""
     writer, reader = data_ends(suite)
     assert reader.receive_data(writer.write_many([(b"a", 1, 0), (b"b", 2, 0)])) == [(b"a", 1, 0), (b"b", 2, 0)]
@@ -270,8 +270,8 @@ def test_session_goes_on_under_other_keys(suite: CipherSuite) -> None:
     reader.receive_data(begun)
     key = None if suite is CipherSuite.PLAIN else bytes(range(1, 33))
     writer.messages -= 1  # the long one is sent again in full
-    writer.go_on(Sealer(suite, key))
-    reader.go_on(StreamOpener(suite, key))
+    writer.resume(Sealer(suite, key))
+    reader.resume(StreamOpener(suite, key))
     reader.open_resumed(writer.write_resumed(again=1)[4:])
     assert reader.receive_data(writer.write_many([(b"b", 2, 0), (b"long", 3, 0)])) == [(b"long", 3, 0)]
     pieces = write_chunks(writer, b"longer", 4, 0, 3)

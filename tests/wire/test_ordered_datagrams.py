@@ -95,7 +95,7 @@ def test_what_has_no_room_is_not_opened() -> None:
     assert received(reader, *later) == [bytes([2]) * 400, bytes([3]) * 400]
 
 
-def test_goes_on_with_other_keys() -> None:
+def test_resumes_with_other_keys() -> None:
     """Incomplete messages are sent again in full, and a message that waits for an earlier one stays."""
     budget = Budget(1 << 20)
     writer, reader = ends(budget=budget)
@@ -103,8 +103,8 @@ def test_goes_on_with_other_keys() -> None:
     datagrams = [writer.write(each, 0, 0, OVERHEAD + 10) for each in messages]
     assert received(reader, *datagrams[0], datagrams[1][0], *datagrams[2]) == messages[:1]
     other = bytes(reversed(KEY))
-    writer.go_on(Sealer(CipherSuite.AESGCM, other), b"another!")
-    reader.go_on(DatagramOpener(CipherSuite.AESGCM, other))
+    writer.resume(Sealer(CipherSuite.AESGCM, other), b"another!")
+    reader.resume(DatagramOpener(CipherSuite.AESGCM, other))
     assert (writer.sequence, reader.opened, reader.newest_sequence, reader.pending) == (0, 0, -1, 0)
     again = [
         writer.write_pieces(writer.cut_again(number, (messages[number - 1], 0, 0), 200), 0, 1) for number in (2, 3)

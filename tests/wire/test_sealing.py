@@ -224,17 +224,15 @@ def test_data_keys_are_those_of_the_document(
 
 @ENCRYPTED
 @pytest.mark.parametrize(("role", "direction"), [("client", 0), ("server", 1)])
-def test_keys_of_a_session_that_goes_on_are_those_of_the_document(
-    suite: CipherSuite, role: Role, direction: int
-) -> None:
+def test_keys_of_resumed_routes_are_those_of_the_document(suite: CipherSuite, role: Role, direction: int) -> None:
     """They are derived once, for routes that were proposed on an earlier connection."""
     keys = session_keys(suite, routes=())
-    keys.resume((1, 8))
+    keys.resumed((1, 8))
     sealed = keys.route_sealer(8, role).seal(b"content", b"header")
     key = expand(expand(KEY, b"rsb resumed"), b"rsb data", struct.pack(">IB", 8, direction))
     assert sealed == by_the_book(suite, key, 0, b"content", b"header")
     with pytest.raises(AttributeError):
-        keys.resume((3,))
+        keys.resumed((3,))
 
 
 @ENCRYPTED

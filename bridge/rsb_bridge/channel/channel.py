@@ -36,7 +36,7 @@ class RouteSink(Protocol):
 
     @property
     def resumes(self) -> bool:
-        """Whether it stays open when its connection is lost, and goes on on the next one."""
+        """Whether it stays open when its connection is lost, and resumes on the next one."""
 
     @property
     def resends(self) -> bool:

@@ -50,9 +50,9 @@ LARGE = 16 * 1024
 """Bytes of a message that takes the stream for large ones (bench/README.md, *Constants of data streams*)."""
 
 # Of lost streams. Round figures.
-_MOST_CUTS, _CUTS_WITHIN = 3, 15.0
-"""Losses of a pair within so many s after which its routes go on: where each stream is lost at once, they open again
-with delays of their own. Three, because a firewall that forgets both shows it one by one."""
+_MOST_LOSSES, _LOSSES_WITHIN = 3, 15.0
+"""Losses of a pair within so many s after which its routes do not resume: where each stream is lost at once, they open
+again with delays of their own. Three, because a firewall that forgets both shows it one by one."""
 _SHORTEST_PAUSE, _LONGEST_PAUSE = 5.0, 60.0
 """s until a stream is opened that no route of this side waits for, and that the other side may refuse."""
 _DEAD_AFTER, _UNHEARD = 10.0, 2.5
@@ -95,7 +95,7 @@ class DataStream(Carrier, StreamHandler):
 
     Attributes:
         acknowledged: bytes that have arrived.
-        resumed: bytes with which routes have said that they go on on it.
+        resumed: bytes with which routes have said that they resume on it.
         unwritten: messages in the next bytes that are written.
         counter: counts received bytes.
     """
@@ -144,7 +144,7 @@ class DataStream(Carrier, StreamHandler):
 
     def closed(self, reason: Reason) -> None:
         # Its routes have lost it, also if this side gave it up.
-        self._pair.cut(self, reason if reason.broke else Reason(reason.text, EndCode.BROKE))
+        self._pair.lose(self, reason if reason.broke else Reason(reason.text, EndCode.BROKE))
 
     def end(self, reason: str) -> None:
         """Close it; nothing more is heard of it."""
@@ -159,7 +159,7 @@ class DataStream(Carrier, StreamHandler):
         try:
             self._take(self._frames.feed(data), len(data))
         except (ProtocolError, SealError) as error:
-            self._pair.lost(self, Reason(str(error), EndCode.BROKE))
+            self._pair.drop(self, Reason(str(error), EndCode.BROKE))
 
     def received_frame(self, frame: memoryview) -> None:
         """Take a frame that came on a control connection, without its length; raises as `receive`."""
@@ -205,15 +205,15 @@ class DataStream(Carrier, StreamHandler):
                 return
             at = end
 
-    def resume(self) -> None:
-        """Go on with the held frames: what they waited for may have come."""
+    def take_held(self) -> None:
+        """Take the frames that are held, if what they waited for has come."""
         if not self._held:
             return
         held, self._held = self._held, ()
         try:
             self.receive(held)
         except (ProtocolError, SealError) as error:
-            self._pair.lost(self, Reason(str(error), EndCode.BROKE))
+            self._pair.drop(self, Reason(str(error), EndCode.BROKE))
             return
         self.count(_bytes_of(held) - _bytes_of(self._held))
         if not self._held:
@@ -283,8 +283,9 @@ def take_receipts(receipts: Receipts, streams: Iterable[DataStream], scheduler: 
 class StreamPair:
     """The streams for small and for large messages of the routes that name one port.
 
-    If the stream of large messages is lost, as where only large packets are, the routes on the other one go on. Without
-    the stream of small messages, both end.
+    If the stream of large messages is lost, as where only large packets are, the routes on the other one stay. Without
+    the stream of small messages, both end. Routes of a lost stream resume once both are open (`resume_routes`). The
+    pair itself suspends and resumes with the link's connection.
 
     Attributes:
         small: the stream of small messages, or None until it is accepted.
@@ -310,7 +311,7 @@ class StreamPair:
         self._lost_for = NO_REASON
         self._pause = _SHORTEST_PAUSE
         self._in_vain = False  # the last lost stream was
-        self._cuts: deque[float] = deque(maxlen=_MOST_CUTS)  # the times (s)
+        self._losses: deque[float] = deque(maxlen=_MOST_LOSSES)  # the times (s)
 
     @property
     def ready(self) -> bool:
@@ -361,13 +362,13 @@ class StreamPair:
             raise ProtocolError(Broken.FRAME_OF_UNKNOWN_ROUTE(kind=kind, route=route_id))
         return True  # it was on the way while the route was closed
 
-    def resume(self) -> None:
-        """Go on with held frames."""
+    def take_held(self) -> None:
+        """Take the frames that are held, if what they waited for has come."""
         for stream in self.streams():
-            stream.resume()
+            stream.take_held()
 
-    def cut(self, stream: DataStream, reason: Reason) -> None:
-        """Handle the end of a stream: routes go on on the next one, if they may, or are closed."""
+    def lose(self, stream: DataStream, reason: Reason) -> None:
+        """Handle the loss of one stream: its routes resume on the next one, if they may, or are closed."""
         if self.over or stream.over:
             return
         now = self.book.now()
@@ -378,18 +379,18 @@ class StreamPair:
         was_in_vain, self._in_vain = self._in_vain, owes and not got_through
         resumes = not (was_in_vain and self._in_vain)
         if self.ready:  # else it belongs to the loss before
-            resumes = resumes and not (len(self._cuts) == _MOST_CUTS and now - self._cuts[0] < _CUTS_WITHIN)
-            self._cuts.append(now)
-        self.lost(stream, reason, resumes=resumes)
+            resumes = resumes and not (len(self._losses) == _MOST_LOSSES and now - self._losses[0] < _LOSSES_WITHIN)
+            self._losses.append(now)
+        self.drop(stream, reason, resumes=resumes)
         if resumes and self.ends:
             self._pause = _SHORTEST_PAUSE
             self._owner.open_streams(self.transport, self.port)
 
-    def lost(self, stream: DataStream, reason: Reason, *, resumes: bool = False) -> None:
-        """End a stream, and close its routes: without `cut`, the peer has broken the format on it.
+    def drop(self, stream: DataStream, reason: Reason, *, resumes: bool = False) -> None:
+        """End one stream, and close its routes: without `lose`, the peer has broken the format on it.
 
         Args:
-            resumes: routes that may go on wait for another stream instead.
+            resumes: routes that may resume wait for another stream instead.
         """
         if self.over or stream.over:
             return
@@ -401,7 +402,7 @@ class StreamPair:
         for end in tuple(self.ends.values()):  # each one that is lost leaves
             if end.uses(stream):
                 if resumes and end.route.resumes:
-                    end.cut()
+                    end.suspend()
                 else:
                     end.route.channel_lost(reason)
         if stream is self.small and not self._waiting():
@@ -409,29 +410,30 @@ class StreamPair:
 
     def _waiting(self) -> list[_StreamEnd]:
         """Return the routes that wait for a stream in place of a lost one."""
-        return [end for end in self.ends.values() if end.is_cut]
+        return [end for end in self.ends.values() if end.is_suspended]
 
-    def away(self, reason: Reason) -> None:
-        """Have all routes wait, as the link has no connection. Armed routes are closed already."""
+    def suspend(self, reason: Reason) -> None:
+        """End both streams, as the link has lost its connection; all routes wait. Armed ones are closed already."""
         if self.over:
             return
-        self._cuts.clear()
+        self._losses.clear()
         self._in_vain = False
         for each in self.streams():
-            self.lost(each, reason, resumes=True)
+            self.drop(each, reason, resumes=True)
         if not self.ends:
             self.over = True
 
-    def back(self, keys: DataKeys) -> None:
-        """Take the keys of the link's next connection. Then its streams may be added."""
+    def resume(self, keys: DataKeys) -> None:
+        """Take the keys of the link's next connection. Routes resume once streams are added, or at once on its own."""
         self.keys = keys
         self._lost_at = self.book.now()  # the wait for streams begins
         self._lost_for = NO_REASON  # the log has the link's loss
         for end in self.ends.values():
             end.take_keys(keys)
+        self.resume_routes()
 
-    def go_on(self) -> Reason:
-        """Have the routes whose streams were lost go on, if both are open now.
+    def resume_routes(self) -> Reason:
+        """Have the routes whose streams were lost resume, if both are open now.
 
         Returns:
             Why they were lost, or an empty reason if none was.
@@ -440,8 +442,8 @@ class StreamPair:
         if not waiting or not self.ready:
             return NO_REASON
         for end in waiting:
-            end.go_on()
-        self.resume()
+            end.resume()
+        self.take_held()
         self.scheduler.run()
         return self._lost_for
 
@@ -456,12 +458,12 @@ class StreamPair:
             end.route.channel_lost(self._lost_for or Reason("no data connection came", EndCode.BROKE))
 
     def tick(self, control_quiet: float = 0.0) -> None:
-        """Go on with held frames, and give up streams that pass nothing or do not come. Called once a second.
+        """Take held frames, and give up streams that pass nothing or do not come. Called once a second.
 
         Args:
             control_quiet: s since the last byte on the control connection.
         """
-        self.resume()  # a route that frames wait for may be closed
+        self.take_held()  # a route that frames wait for may be closed
         now = self.book.now()
         if control_quiet > _UNHEARD:
             self._unheard_at = now
@@ -469,7 +471,7 @@ class StreamPair:
         for each in self.streams():
             if self._unheard_at < since and each.passes_nothing(since):
                 self.book.give_up(each.number)
-                self.cut(each, Reason("nothing got through for 10 s, check firewalls and proxies", EndCode.BROKE))
+                self.lose(each, Reason("nothing got through for 10 s, check firewalls and proxies", EndCode.BROKE))
         # The kernel is asked here, and not by each of hundreds of routes.
         self.stuck = [each for each in self.streams() if each.stream.stuck]
         if not self.ends or self.ready:
@@ -501,11 +503,11 @@ class _StreamEnd(DataChannel):
     """The base of both ends.
 
     Args:
-        pair: the streams, which are ready. Frames may have come already: call `StreamPair.resume` once the route has
-            this channel.
+        pair: the streams, which are ready. Frames may have come already: call `StreamPair.take_held` once the route
+            has this channel.
 
     Attributes:
-        is_cut: whether its stream is lost, and it waits for the next one.
+        is_suspended: whether its stream is lost, and it waits for the next one.
     """
 
     ready = True
@@ -513,14 +515,14 @@ class _StreamEnd(DataChannel):
     def __init__(self, pair: StreamPair, route: RouteSink) -> None:
         assert pair.small is not None
         self.route = route
-        self.is_cut = False
+        self.is_suspended = False
         self._pair = pair
         self._small = pair.small
         self._route_id = route.id
         pair.ends[route.id] = self
 
     def trouble(self) -> Verdict | None:
-        if self.is_cut:
+        if self.is_suspended:
             return Verdict(State.WAITING, Cause.AWAITS_LINK, REOPENS)
         if not any(self.uses(each) for each in self._pair.stuck if not each.over):
             return None
@@ -534,17 +536,17 @@ class _StreamEnd(DataChannel):
         """Whether the route's messages are on a stream."""
         return stream is self._small
 
-    def cut(self) -> None:
+    def suspend(self) -> None:
         """Wait for a stream in place of the lost one."""
-        self.is_cut = True
+        self.is_suspended = True
 
     def take_keys(self, keys: DataKeys) -> None:
         """Use the keys of the next connection: each end has one for its direction."""
 
-    def go_on(self) -> None:
+    def resume(self) -> None:
         """Go on on the new stream."""
         assert self._pair.small is not None
-        self._small, self.is_cut = self._pair.small, False
+        self._small, self.is_suspended = self._pair.small, False
 
     def _next_stream(self) -> DataStream:
         """Return the stream in place of the lost one. After the loss of both, a route begins on the small one again."""
@@ -636,7 +638,7 @@ class StreamSender(_StreamEnd, SendingChannel):
 
     def take_keys(self, keys: DataKeys) -> None:
         super().take_keys(keys)
-        self._writer.go_on(keys.keys.route_sealer(self._route_id, keys.role))
+        self._writer.resume(keys.keys.route_sealer(self._route_id, keys.role))
 
     def close(self, reason: str) -> None:
         self.leave()
@@ -645,8 +647,8 @@ class StreamSender(_StreamEnd, SendingChannel):
     def uses(self, stream: DataStream) -> bool:
         return stream is self.via or super().uses(stream)
 
-    def cut(self) -> None:
-        super().cut()
+    def suspend(self) -> None:
+        super().suspend()
         if not self.via.over:  # the other way's stream was lost
             return
         self._at = 0  # the message that was begun is sent again in full
@@ -656,7 +658,7 @@ class StreamSender(_StreamEnd, SendingChannel):
         self.unacknowledged = []
         self.waits_since, self.turned = None, False
 
-    def go_on(self) -> None:
+    def resume(self) -> None:
         if self.via.over:
             self.via, self.start = self._next_stream(), 0
             resumed = self._writer.write_resumed(self._again)
@@ -665,7 +667,7 @@ class StreamSender(_StreamEnd, SendingChannel):
             self._scheduler.write(self.via, resumed)
             if self.waits:
                 self._scheduler.join(self)
-        super().go_on()
+        super().resume()
 
     def received(self, stream: DataStream, kind: int, frames: Sequence[memoryview]) -> bool:
         """Refuse frames: the peer sends nothing on this route."""
@@ -692,17 +694,17 @@ class StreamReceiver(_StreamEnd, ReceivingChannel):
 
     def take_keys(self, keys: DataKeys) -> None:
         super().take_keys(keys)
-        self._reader.go_on(keys.keys.stream_opener(self._route_id, keys.peer_role))
+        self._reader.resume(keys.keys.stream_opener(self._route_id, keys.peer_role))
 
-    def cut(self) -> None:
-        super().cut()
+    def suspend(self) -> None:
+        super().suspend()
         if self._from.over:
             self._reader.close()
 
-    def go_on(self) -> None:
+    def resume(self) -> None:
         if self._from.over:
             self._from = self._next_stream()
-        super().go_on()
+        super().resume()
 
     def received(self, stream: DataStream, kind: int, frames: Sequence[memoryview]) -> bool:
         if stream is not self._from:
@@ -717,9 +719,9 @@ class StreamReceiver(_StreamEnd, ReceivingChannel):
                 raise ProtocolError(Broken.DATA_AGAINST_ROUTE(route=self._route_id))
             self._reader.open_moved(frames[0])
             self._from = large
-            # Lost already, while this frame was on the way: nothing else would have the route go on on the next one.
-            self.is_cut = self.is_cut or large.over
-            large.resume()
+            # Lost already, while this frame was on the way: nothing else would have the route resume on the next one.
+            self.is_suspended = self.is_suspended or large.over
+            large.take_held()
         else:
             for frame in frames:
                 self._reader.open_resumed(frame)

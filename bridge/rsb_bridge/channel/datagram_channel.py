@@ -33,7 +33,7 @@ link that loses 30 %, its first two copies get lost once in 11 times, and all se
 
 
 class DatagramEnd(DataChannel):
-    """The base of both ends."""
+    """The base of both ends. An end is suspended by the end of its UDP channel, which comes with the connection's."""
 
     def __init__(self, udp_channel: UdpChannel, route: RouteSink) -> None:
         self.route = route
@@ -42,8 +42,8 @@ class DatagramEnd(DataChannel):
         self._was_ready = False  # on the connection before, as messages wait for the path of this one
 
     @property
-    def is_cut(self) -> bool:
-        """Whether the link is away, and it waits for a UDP channel of its next connection."""
+    def is_suspended(self) -> bool:
+        """Whether it waits for a UDP channel of the link's next connection."""
         return self._udp_channel.over
 
     @property
@@ -51,13 +51,13 @@ class DatagramEnd(DataChannel):
         return self._was_ready or self._udp_channel.ready
 
     def trouble(self) -> Verdict | None:
-        if self.is_cut or (self._was_ready and not self._udp_channel.ready):
+        if self.is_suspended or (self._was_ready and not self._udp_channel.ready):
             return Verdict(State.WAITING, Cause.AWAITS_LINK, REOPENS)
         if text := self._udp_channel.trouble:
             return Verdict(State.DOWN, Cause.NO_PATH, text)
         return None
 
-    def go_on(self, udp_channel: UdpChannel, keys: DataKeys) -> None:
+    def resume(self, udp_channel: UdpChannel, keys: DataKeys) -> None:
         """Go on over a UDP channel of the link's next connection."""
         self._was_ready = self.ready
         self._udp_channel = udp_channel
@@ -182,9 +182,9 @@ class DatagramSender(DatagramEnd, SendingChannel):
         self.via.send(datagrams, size, times)
         return size
 
-    def go_on(self, udp_channel: UdpChannel, keys: DataKeys) -> None:
-        super().go_on(udp_channel, keys)
-        self._codec.go_on(keys.keys.route_sealer(self._route_id, keys.role), keys.keys.link_id)
+    def resume(self, udp_channel: UdpChannel, keys: DataKeys) -> None:
+        super().resume(udp_channel, keys)
+        self._codec.resume(keys.keys.route_sealer(self._route_id, keys.role), keys.keys.link_id)
         self._counted = self._missing = 0
         self._receipted = (-1, 0)
         self._cut, self._at = None, 0
@@ -279,8 +279,8 @@ class DatagramReceiver(DatagramEnd, ReceivingChannel):
     def expire(self, now: float) -> None:
         self._codec.expire(now)
 
-    def go_on(self, udp_channel: UdpChannel, keys: DataKeys) -> None:
-        super().go_on(udp_channel, keys)
-        self._codec.go_on(keys.keys.datagram_opener(self._route_id, keys.peer_role))
+    def resume(self, udp_channel: UdpChannel, keys: DataKeys) -> None:
+        super().resume(udp_channel, keys)
+        self._codec.resume(keys.keys.datagram_opener(self._route_id, keys.peer_role))
         self._told = 0
         udp_channel.receivers[self._route_id] = self

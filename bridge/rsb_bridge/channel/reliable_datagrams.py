@@ -205,7 +205,7 @@ class ReliableSender(DatagramSender):
     def _look(self) -> None:
         """Send the newest datagram again if nothing has been heard of it: no later one makes a receipt tell of it."""
         self._timer = None
-        if not self._flight or self.is_cut:
+        if not self._flight or self.is_suspended:
             return
         patience = self.via.pacer.patience
         # One datagram that asks is enough for all routes.
@@ -225,9 +225,9 @@ class ReliableSender(DatagramSender):
         for sequence in [*self._flight][:-_WINDOW]:
             del self._flight[sequence]
 
-    # --- the link is away
+    # --- the next connection
 
-    def go_on(self, udp_channel: UdpChannel, keys: DataKeys) -> None:
+    def resume(self, udp_channel: UdpChannel, keys: DataKeys) -> None:
         self._flight.clear()
         self._again.clear()
         self._newest, self._absent = -1, 0
@@ -235,7 +235,7 @@ class ReliableSender(DatagramSender):
         for number, kept in self.unacknowledged.items():
             kept.size, kept.cut, kept.pieces = 0, None, {0: _QUEUED}
             self._again.append((number, 0))
-        super().go_on(udp_channel, keys)
+        super().resume(udp_channel, keys)
 
     def close(self, reason: str) -> None:
         if self._timer is not None:

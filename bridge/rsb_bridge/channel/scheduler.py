@@ -163,7 +163,7 @@ class Scheduler:
     def join(self, end: SendingChannel) -> None:
         """Queue a route's end for a turn; one that had nothing to send does not make up for that.
 
-        Nothing happens while what carries it is over: it joins when it goes on over something else.
+        Nothing happens while what carries it is over: it joins when it resumes on something else.
         """
         if not end.queued and not end.via.over:
             # What waits on a congested stream is behind the link's time, and so is what joins it.

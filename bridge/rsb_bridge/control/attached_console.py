@@ -12,7 +12,7 @@ import msgspec
 from rsb_bridge.api import EngineError, InvalidRequestError
 from rsb_bridge.control import protocol
 from rsb_bridge.control.protocol import ControlProtocolError
-from rsb_bridge.control.states import EncodedRoutes, Sender
+from rsb_bridge.control.states import EncodedRoutes, StateSender
 from rsb_bridge.feature import session_keys
 from rsb_bridge.model.by_hand import TICKET_LIFE
 from rsb_bridge.model.clock import Clock
@@ -157,7 +157,7 @@ class AttachedConsole:
         self._connection = connection
         self._frames = protocol.frames_to_bridge()
         self._loop = asyncio.get_running_loop()
-        self._sender = Sender()
+        self._sender = StateSender()
         self._sending = asyncio.Lock()
         self._looking = False
         self._looked_at = 0.0

@@ -77,7 +77,7 @@ class EncodedRoutes:
             self._encoded = {key: self._encoded[key] for key in _keys(snapshot) if key in self._encoded}
 
 
-class Sender:
+class StateSender:
     """The state that one console has received, and the differences from it.
 
     Attributes:

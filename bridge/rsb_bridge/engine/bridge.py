@@ -45,7 +45,6 @@ from rsb_bridge.ros.ros_interface import RosError, RosProblem, TopicSpec
 from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.calls.manual_call import CallError
 from rsb_bridge.route.peeking import PeekError, Peeking
-from rsb_bridge.route.topic_route import TopicRoute
 from rsb_bridge.tasks import Tasks, in_slices
 from rsb_bridge.telemetry.acknowledgements import find_faulty
 from rsb_bridge.transport.transport import ListenError
@@ -472,8 +471,7 @@ class Bridge:
     async def _steps_to(self, session: Session, keys: Keys) -> list[ReloadStep]:
         old = msgspec.structs.replace(self.context.session, armed=self.context.demands.written)
         in_place = (
-            (("stale_after", "stale_warnings", "late_after"), self._set_stale_after),
-            (("check_messages",), self._set_check),
+            (("stale_after", "stale_warnings", "late_after", "check_messages"), self._configure_routes),
             (("group", "ports", "shared_keys", "outlive"), lambda: None),  # they are read in the session when needed
             (("armed",), self.context.demands.changed),
             (("shutdown_topic",), self._change_shutdown_topic),
@@ -485,16 +483,10 @@ class Bridge:
         await in_slices(self.role.steps_to(session, keys), steps.append)
         return steps
 
-    def _set_stale_after(self) -> None:
+    def _configure_routes(self) -> None:
         for link in self.role.links():
             for route in link.routes.values():
-                if isinstance(route, TopicRoute):
-                    route.set_stale_after()
-
-    def _set_check(self) -> None:
-        for link in self.role.links():
-            for route in link.routes.values():
-                route.set_check()
+                route.half.configure()
 
     def _change_shutdown_topic(self) -> None:
         # The new one first: if it cannot be opened, the old one is still there.

@@ -16,9 +16,11 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.commands import Call, DescribeType, Peek, Template
 from rsb_bridge.model.limits import REASON_LENGTH
 from rsb_bridge.model.text import sanitize_text
-from rsb_bridge.route.calls.calls_route import CallsRoute
+from rsb_bridge.route.calls.caller import Caller
 from rsb_bridge.route.calls.manual_call import CallError
-from rsb_bridge.route.topic_route import TopicRoute
+from rsb_bridge.route.calls.provider import Provider
+from rsb_bridge.route.receiver import Receiver
+from rsb_bridge.route.sender import Sender
 from rsb_bridge.wire.messages import ByHand
 
 if TYPE_CHECKING:
@@ -52,39 +54,39 @@ class RouteInspector(EnginePart):
 
     async def peek(self, command: Peek) -> PeekedMessage | None:
         _, route = self._bridge.find(command.key)
-        if not isinstance(route, TopicRoute):
+        if not isinstance(route.half, Sender | Receiver):
             raise LinkError(f"{route.local_topic} has calls, no messages")
-        return await self._bridge.peeking.peek(route, kept=command.kept)
+        return await self._bridge.peeking.peek(route.half.flow, kept=command.kept)
 
     async def describe(self, command: DescribeType) -> str:
         link, route = self._bridge.find(command.key)
         return await link.type_questions.describe(route)
 
     async def template(self, command: Template) -> str:
-        route = _callable(self._bridge.find(command.key)[1])
-        number = _lane_named(route, command.lane)
-        return await asyncio.to_thread(self._defaults, route, number, route.entry(number))
+        half = _callable(self._bridge.find(command.key)[1])
+        number = _lane_named(half, command.lane)
+        return await asyncio.to_thread(self._defaults, half, number, half.entry(number))
 
     async def call(self, command: Call) -> str:
         """Call by hand; both sides record the operator."""
-        link, found = self._bridge.find(command.key)
-        route = _callable(found)
+        link, route = self._bridge.find(command.key)
+        half = _callable(route)
         if self._calls >= CALLS_AT_ONCE:
             raise LinkError(Denied.TOO_MANY_CALLS(limit=CALLS_AT_ONCE))
         self._calls += 1
         try:
-            return await self._call(link, route, _lane_named(route, command.lane), command.request)
+            return await self._call(link, half, _lane_named(half, command.lane), command.request)
         finally:
             self._calls -= 1
 
-    async def _call(self, link: Link, route: CallsRoute, lane: int, request: str) -> str:
-        entry = route.entry(lane)
-        payload, note = await asyncio.to_thread(self._serialized, route, lane, entry, request)
+    async def _call(self, link: Link, half: Caller | Provider, lane: int, request: str) -> str:
+        entry = half.entry(lane)
+        payload, note = await asyncio.to_thread(self._serialized, half, lane, entry, request)
         line = sanitize_text(" ".join(request.split()))
-        self._record(link, route, ByHand(route=route.id, lane=lane, request=line, who=acting_operator()))
+        self._record(link, half.route, ByHand(route=half.route.id, lane=lane, request=line, who=acting_operator()))
         began, outcome = self._context.now(), "an error of the bridge"
         try:
-            response = await route.call_by_hand(lane, payload)
+            response = await half.call_by_hand(lane, payload)
             outcome = f"answered after {self._context.now() - began:.3g} s"
         except CallError as error:
             outcome = f"failed: {error}"
@@ -94,11 +96,13 @@ class RouteInspector(EnginePart):
             raise
         finally:
             outcome = sanitize_text(outcome, REASON_LENGTH)
-            self._record(link, route, ByHand(route=route.id, lane=lane, who=acting_operator(), outcome=outcome))
+            self._record(
+                link, half.route, ByHand(route=half.route.id, lane=lane, who=acting_operator(), outcome=outcome)
+            )
         answer = await asyncio.to_thread(lambda: write_fields(self._decoded(f"{entry.type}_Response", response)))
         return note + answer
 
-    def _record(self, link: Link, route: CallsRoute, message: ByHand) -> None:
+    def _record(self, link: Link, route: Route, message: ByHand) -> None:
         """Record an operator's call, or its outcome, in the logs of both sides."""
         # 0: it is not open. A call on the providing side needs no link.
         if message.route:
@@ -106,10 +110,14 @@ class RouteInspector(EnginePart):
         code = EventCode.OPERATOR_CALL_ENDED if message.outcome else EventCode.OPERATOR_CALLED
         what = called(route, message.lane, message.outcome)
         self._bridge.log.add(
-            code, what, topic=route.local_topic, link=route.peer.name, new=message.outcome or message.request
+            code,
+            what,
+            topic=route.local_topic,
+            link=route.peer.name,
+            new=message.outcome or message.request,
         )
 
-    def _serialized(self, route: CallsRoute, lane: int, entry: LaneEntry, request: str) -> tuple[bytes, str]:
+    def _serialized(self, half: Caller | Provider, lane: int, entry: LaneEntry, request: str) -> tuple[bytes, str]:
         """Return a request as bytes, and a note for its operator. Slow: not for the I/O thread."""
         ros, context = self._context.ros, self._context
         installed = ros.installed_service_hash(entry.type)
@@ -121,16 +129,16 @@ class RouteInspector(EnginePart):
             )
         fields, note = read_fields(request), ""
         # By default, the ids of all goals are zeros, and a server refuses the second goal of an id.
-        if _is_goal(route, lane) and isinstance(fields, dict) and "goal_id" not in fields:
+        if _is_goal(half, lane) and isinstance(fields, dict) and "goal_id" not in fields:
             goal = fields["goal_id"] = context.random.randbytes(_GOAL_ID_BYTES).hex()
             note = f"# goal_id: {goal}\n"
         return ros.serialize(f"{entry.type}_Request", fields, context.wall_ns()), note
 
-    def _defaults(self, route: CallsRoute, lane: int, entry: LaneEntry) -> str:
+    def _defaults(self, half: Caller | Provider, lane: int, entry: LaneEntry) -> str:
         """Return the defaults of a request as YAML, without the id of a goal. Slow: not for the I/O thread."""
         type_name = f"{entry.type}_Request"
         decoded = self._decoded(type_name, self._context.ros.serialize(type_name, {}, self._context.wall_ns()))
-        if _is_goal(route, lane):
+        if _is_goal(half, lane):
             decoded.message.pop("goal_id", None)
         return write_fields(decoded)
 
@@ -141,20 +149,20 @@ class RouteInspector(EnginePart):
         return decode(read_description(text, hash_of_text(text)), payload, items=ITEMS, steps=STEPS)
 
 
-def _callable(route: Route) -> CallsRoute:
-    if not isinstance(route, CallsRoute):
+def _callable(route: Route) -> Caller | Provider:
+    if not isinstance(route.half, Caller | Provider):
         raise LinkError(f"{route.local_topic} is a topic: it cannot be called")
-    return route
+    return route.half
 
 
-def _is_goal(route: CallsRoute, lane: int) -> bool:
-    return route.spec.kind == "action" and lane == SEND_GOAL
+def _is_goal(half: Caller | Provider, lane: int) -> bool:
+    return half.route.spec.kind == "action" and lane == SEND_GOAL
 
 
-def _lane_named(route: CallsRoute, name: str) -> int:
+def _lane_named(half: Caller | Provider, name: str) -> int:
     """Return the number of a lane that can be called, by its name."""
-    names = {member.name: number for number, member in enumerate(route.members) if not member.is_topic}
+    names = {member.name: number for number, member in enumerate(half.flow.members) if not member.is_topic}
     if name in names:
         return names[name]
     shown = ", ".join(filter(None, names))
-    raise LinkError(f"{route.local_topic} has no {name!r} to call" + (f": choose one of {shown}" if shown else ""))
+    raise LinkError(f"{half.route.local_topic} has no {name!r} to call" + (f": choose one of {shown}" if shown else ""))

@@ -282,8 +282,9 @@ class TopicCommands(EnginePart):
             raise LinkError(f"{name} still has to be armed: {lines} demands it, too; change that instead")
         demands.drop({each: demands.origin(each) for each in own})
         # This side's entry stays as it was if the other side refuses the edit, and would bring the demand back.
-        if route is not None and route.own is not None:
-            route.spec = msgspec.structs.replace(route.spec, arm=False, deadman=None, on_end=None)
+        if route is not None and route.here is not None and route.there is not None:
+            unarmed = msgspec.structs.replace(route.spec, arm=False, deadman=None, on_end=None)
+            route.enter(route.here._replace(topic=unarmed), route.there)
 
     async def pause(self, command: PauseTopics) -> None:
         paused = command.paused

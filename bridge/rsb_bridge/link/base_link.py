@@ -118,7 +118,7 @@ class BaseLink(ABC):
         self._peer_role = "the server" if is_client else "the client"
         self.encrypted = encrypted
         self._channels: DataChannels | None = None  # without a connection
-        self.session: LinkSession | None = None  # while the link is up or away
+        self.session: LinkSession | None = None  # while the link is up or suspended
         self._lost_at = 0.0
         self.outlives = 0.0  # s that the session outlives its connection: the smaller number of both sides
         self.peer: Hello | Welcome | None = None  # before the first connection
@@ -235,14 +235,14 @@ class BaseLink(ABC):
         return self._channels is not None
 
     @property
-    def is_away(self) -> bool:
-        """Whether its session goes on without a connection."""
+    def is_suspended(self) -> bool:
+        """Whether it has no connection, and its association lives on."""
         return self.session is not None and self._channels is None
 
     @property
-    def away_since(self) -> float | None:
-        """When (s) its connection was lost, if its session goes on without one, or None."""
-        return self._lost_at if self.is_away else None
+    def suspended_since(self) -> float | None:
+        """When (s) its connection was lost, if its association lives on without one, or None."""
+        return self._lost_at if self.is_suspended else None
 
     @property
     def session_ends(self) -> float | None:
@@ -265,8 +265,8 @@ class BaseLink(ABC):
             self._channels.session_keys.closed(route_id)
 
     def open_channel(self, route: Route) -> None:
-        """Open the channel of a route, or begin to; while the link is away, its next connection does."""
-        if not self.is_away:
+        """Open the channel of a route, or begin to; while the link is suspended, its next connection does."""
+        if not self.is_suspended:
             self.channels.open(route)
 
     # --- up and down
@@ -284,7 +284,7 @@ class BaseLink(ABC):
     def up(self, stream: Stream, connection: ClientConnection | ServerConnection, event: Established) -> ControlChannel:
         """Begin a connection on a stream whose peer is authenticated, and return what takes its further events.
 
-        It goes on with the session if both sides do, and begins a new one otherwise. While the link is up, it takes the
+        It resumes the session if both sides do, and begins a new one otherwise. While the link is up, it takes the
         place of the present connection.
         """
         control, moves = ControlChannel(stream, connection, self.handlers, self.lost, self._handled), self.linked
@@ -318,17 +318,17 @@ class BaseLink(ABC):
         if again is None:
             self.extensions.connected(event.peer.features)
         else:
-            self._go_on(again)
+            self._resume(again)
         return control
 
     def _join_session(self, control: ControlChannel, event: Established) -> Sequence[ControlMessageBase] | None:
-        """Go on with the session, and return what the peer lacks of it; or begin a new one, and return None."""
+        """Resume the session, and return what the peer lacks of it; or begin a new one, and return None."""
         session, again = self.session, None
-        if session is not None and session.goes_on(event):
+        if session is not None and session.resumes(event):
             session.acknowledge(event.peer.handled)
             if self._channels is not None:
                 self._leave()
-            again = session.back(control, event)
+            again = session.resume(control, event)
         else:
             self.end_session()
             channels = self.channels_class(self, control, event.keys)
@@ -340,16 +340,16 @@ class BaseLink(ABC):
         """End the connection, and nothing else: the session has another one."""
         reason, channels, self._channels = "there is another connection", self.channels, None
         channels.control.leave(reason)
-        self.extensions.away()
-        channels.away(reason)
+        self.extensions.suspend()
+        channels.suspend(reason)
 
-    def _go_on(self, again: Sequence[ControlMessageBase]) -> None:
-        """Send what the peer has not handled on the last connection, and let the routes go on."""
+    def _resume(self, again: Sequence[ControlMessageBase]) -> None:
+        """Send what the peer has not handled on the last connection, and have the link's parts resume."""
         for message in again:
             if isinstance(message, Propose):
                 self.derive_keys(message.route, proposed_here=True)
             self.channels.control.send(message)
-        self.extensions.back()
+        self.extensions.resume()
         self.channels.open_all()
 
     def _handled(self, message_type: type) -> None:
@@ -398,8 +398,8 @@ class BaseLink(ABC):
         if session is None or session.is_over or is_broken or not seconds:
             self.end_session()
         else:
-            self.extensions.away()
-            session.away(reason, self.context.loop.call_later(seconds, self._expire))
+            self.extensions.suspend()
+            session.suspend(reason, self.context.loop.call_later(seconds, self._expire))
             reason = f"{reason}; its topics and calls wait for {seconds:g} s"
         level = Level.INFO if code is EventCode.LINK_CLOSED else Level.WARNING
         how = "lost" if code is EventCode.LINK_LOST else "closed"
@@ -462,7 +462,7 @@ class BaseLink(ABC):
     # --- control messages
 
     def send(self, message: ControlMessageBase) -> None:
-        """Send a control message; without a connection it waits if the session goes on, and else nothing happens."""
+        """Send a control message; without a connection it waits if the link is suspended, and else nothing happens."""
         if self.session is not None:
             self.session.sends(message)
         if self._channels is not None:

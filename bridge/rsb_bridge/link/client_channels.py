@@ -58,9 +58,9 @@ class ClientChannels(DataChannels):
         super().close()
         self._give_up_opening()
 
-    def away(self, reason: str) -> None:
+    def suspend(self, reason: str) -> None:
         self._give_up_opening()  # first: a pair that loses its streams asks for new ones
-        super().away(reason)
+        super().suspend(reason)
 
     def _give_up_opening(self) -> None:
         for opening in self._opening.values():
@@ -88,7 +88,7 @@ class ClientChannels(DataChannels):
                 if not wanted or (failure := await self._open_each(transport, port, wanted)) is not None:
                     break
         finally:
-            if self._opening.get(key) is asyncio.current_task():  # else the link was away meanwhile
+            if self._opening.get(key) is asyncio.current_task():  # else the link was suspended meanwhile
                 del self._opening[key]
         if failure is None and self.pair_of(*key) is None:
             failure = Failure(StreamProblem.CLOSED_HERE())

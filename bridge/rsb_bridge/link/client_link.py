@@ -411,7 +411,7 @@ class ClientLink(Link):
         super().lost(self._with_device(reason) if code is EventCode.LINK_LOST else reason, code)
         self._longest = _LONGEST_DELAY_UNREACHED
         self._backoff.reset()
-        if self.is_away and self.context.now() - self._connected_at > _LASTING:
+        if self.is_suspended and self.context.now() - self._connected_at > _LASTING:
             self._returning.reset()
             self._call_in(0.0)
         else:

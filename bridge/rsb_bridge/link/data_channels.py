@@ -68,7 +68,7 @@ class DataChannels:
     """Made when a session begins, and closed when it ends. A client opens the streams, a server accepts them.
 
     Attributes:
-        control: the authenticated connection, or the last one while the link is away.
+        control: the authenticated connection, or the last one while the link is suspended.
         is_silent: whether it ends because nothing comes any more.
         session_keys: its keys.
         keys: seal and open the routes' messages.
@@ -91,7 +91,7 @@ class DataChannels:
         self._newest = 0  # number of a stream
         self._trouble: tuple[object, ...] = ()  # of the pairs and UDP channels, at the last tick
         self._connect(control, keys)
-        keys.resume(())
+        keys.resumed(())
 
     def _connect(self, control: ControlChannel, keys: SessionKeys) -> None:
         link = self._link
@@ -102,27 +102,26 @@ class DataChannels:
             pair = self._pair(link.transport, link.shared_port())
             control.data = pair.add(control.stream, CONTROL_NUMBER, large=True, small=True)
 
-    def away(self, reason: str) -> None:
-        """Have the routes wait for the next connection. None that has to be armed is open any more."""
+    def suspend(self, reason: str) -> None:
+        """End the lost connection's streams; routes wait for the next. None that has to be armed is open any more."""
         for pair in tuple(self._pairs.values()):
-            pair.away(Reason(reason, EndCode.BROKE))
+            pair.suspend(Reason(reason, EndCode.BROKE))
         for channel in self._udp.values():
             channel.close()
         self._udp.clear()
 
-    def back(self, control: ControlChannel, keys: SessionKeys, proposed: Collection[int]) -> None:
-        """Go on on the session's next connection.
+    def resume(self, control: ControlChannel, keys: SessionKeys, proposed: Collection[int]) -> None:
+        """Resume on the association's next connection.
 
         Args:
             proposed: ids of routes that the other side does not know yet, and that are proposed again.
         """
         self.is_silent = False
-        keys.resume(route.id for route in self.ids.open_routes() if route.id not in proposed)
+        keys.resumed(route.id for route in self.ids.open_routes() if route.id not in proposed)
         self._connect(control, keys)
         for pair in self._pairs.values():
             if not pair.over:
-                pair.back(self.keys)
-                pair.go_on()  # where the control connection is its stream
+                pair.resume(self.keys)
 
     def open_all(self) -> None:
         """Open the streams and UDP channels that routes wait for."""
@@ -169,19 +168,19 @@ class DataChannels:
         # Without one, a client tries again, and a server waits for its client's probe; both then call `udp_ready`.
         if channel is None:
             return
-        if isinstance(route.channel, DatagramEnd):
-            route.channel.go_on(channel, self.keys)
+        if isinstance(route.half.carried.channel, DatagramEnd):
+            route.half.carried.channel.resume(channel, self.keys)
         else:
-            route.channel = datagram_channel(channel, route, self.keys)
+            route.half.carried.channel = datagram_channel(channel, route, self.keys)
 
     def _carry(self, route: Route, pair: StreamPair) -> None:
-        route.channel = stream_channel(pair, route)
-        pair.resume()  # its first frames may have overtaken the control message that has opened it
+        route.half.carried.channel = stream_channel(pair, route)
+        pair.take_held()  # its first frames may have overtaken the control message that has opened it
 
     def _take_awaiting(self, transport: str, port: int) -> Iterator[Route]:
         """Yield the routes that wait for streams, and for which nothing else has come first; none of them waits on."""
         for route_id, route in self.awaiting.pop((transport, port), {}).items():
-            if route.id == route_id and route.channel is None:  # else it was closed meanwhile
+            if route.id == route_id and route.half.carried.channel is None:  # else it was closed meanwhile
                 yield route
 
     def udp_ready(self) -> None:
@@ -193,7 +192,7 @@ class DataChannels:
         def advance(route: Route) -> None:
             if not route.id:  # a slice before this one has closed it
                 return
-            if isinstance(route.channel, DatagramEnd) and route.channel.is_cut:
+            if isinstance(route.half.carried.channel, DatagramEnd) and route.half.carried.channel.is_suspended:
                 self.open(route)
             route.advance()
 
@@ -213,12 +212,12 @@ class DataChannels:
         """Use an accepted stream; `beginning` are the bytes that arrived after its preamble."""
         pair = self._pair(transport, port)
         if (old := pair.large if name.large else pair.small) is not None:
-            pair.cut(old, Reason("the other side opened it again", EndCode.BROKE))
+            pair.lose(old, Reason("the other side opened it again", EndCode.BROKE))
             pair = self._pair(transport, port)  # maybe another one: a pair without routes ends with its streams
         pair.kept = not name.port  # the link's own, which stay while no route uses them (PROTOCOL.md, 1.5)
         both = transport.multiplexed
         stream.handler = added = pair.add(stream, name.number, large=name.large or both, small=both or not name.large)
-        if reason := pair.go_on():
+        if reason := pair.resume_routes():
             text = f"a data connection broke ({reason.text}) and was opened again; only best-effort messages are lost"
             self._link.log_of_peer(Level.WARNING, EventCode.LINK_STREAM_REOPENED, text)
         if beginning and not added.over:
@@ -229,7 +228,7 @@ class DataChannels:
 
         def carry(route: Route) -> None:
             self.open(route)  # which waits again if a slice before has lost the streams
-            if route.channel is not None:
+            if route.half.carried.channel is not None:
                 route.advance()
 
         if self.pair_of(transport, port) is not None:

@@ -42,11 +42,11 @@ class Extension:
     def disconnected(self) -> None:
         """End a session. The extension that was registered last comes first."""
 
-    def away(self) -> None:
-        """Wait: the connection is lost, and the session goes on. The extension that was registered last comes first."""
+    def suspend(self) -> None:
+        """Wait: the connection is lost, and the association lives on. The last registered extension comes first."""
 
-    def back(self) -> None:
-        """Go on: the session has another connection."""
+    def resume(self) -> None:
+        """Go on: the association has another connection."""
 
     def leaving(self) -> None:
         """Send what the peer has to know before this side's goodbye."""
@@ -114,13 +114,13 @@ class Extensions:
             each.disconnected()
         self._told = []
 
-    def away(self) -> None:
+    def suspend(self) -> None:
         for each in reversed(self._told):
-            each.away()
+            each.suspend()
 
-    def back(self) -> None:
+    def resume(self) -> None:
         for each in self._told:
-            each.back()
+            each.resume()
 
     def leaving(self) -> None:
         for each in self._told:

@@ -17,7 +17,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import TEXT_LENGTH
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.text import sanitize_text
-from rsb_bridge.route.outgoing import OutgoingRoute
+from rsb_bridge.route.sender import Sender
 from rsb_bridge.telemetry.meters import Throughput
 from rsb_bridge.wire.records import FullRecord
 
@@ -73,21 +73,22 @@ class LinkFullness(Extension):
         self.sending.disconnected()
         self.receiving.disconnected()
 
-    away = disconnected
+    suspend = disconnected
 
     def tick(self) -> None:
         link = self._link
         if not link.linked:
             return
         scheduler, now, at = link.channels.scheduler, link.context.now(), link.context.wall()
-        asked, called = [], 0.0
+        asked: list[Asked] = []
+        called = 0.0
         for route in link.awake:
             if route.duplex:
                 called += route.meter.bytes_per_second
-            elif isinstance(route, OutgoingRoute) and route.channel is not None and route.connected:
-                rate = route.traffic.measure(now)
+            elif isinstance(route.half, Sender) and route.half.carried.channel is not None and route.connected:
+                rate = route.half.path.traffic.measure(now)
                 # What waits for a path that takes nothing says nothing about the others.
-                if rate and route.channel.moves:
+                if rate and route.half.carried.channel.moves:
                     asked.append(Asked(route.topic, route.remote_topic, rate))
         arrived, self._arrived = scheduler.arrived - self._arrived, scheduler.arrived
         full = scheduler.waits_for(now) >= _NEVER_EMPTY

@@ -10,6 +10,7 @@ from rsb_bridge.link.extension import LinkError
 from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.model.session import Topic
 from rsb_bridge.ros.internal_ends import DrainT, SourceT
+from rsb_bridge.route.entry import Entry
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -79,7 +80,7 @@ class InternalRoutes(Generic[SourceT, DrainT]):
         proposal = proposal_of(
             entry, carrier, client_name=link.name, use_name=False, profile=link.profile, purpose=self._purpose
         )
-        return self._table.add(entry, proposal, proposed_here=True)
+        return self._table.add(Entry(entry, proposal), proposed_here=True)
 
     def proposed(self, *, here: bool) -> list[Route]:
         """Return the routes that this side has proposed, or the peer's."""
@@ -110,7 +111,7 @@ class InternalRoutes(Generic[SourceT, DrainT]):
                 while not (route.crossing.flows and end(route) is not None):
                     if route.life.refusal or route.key not in self._link.routes or (opening and route.id != opening):
                         return False
-                    await route.changed()
+                    await route.waiters.wait()
         except TimeoutError:
             return False
         return True

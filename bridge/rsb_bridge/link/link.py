@@ -22,7 +22,7 @@ from rsb_bridge.link.route_table import RouteTable
 from rsb_bridge.link.subflows import Subflows
 from rsb_bridge.model.demands import sources_of_entries
 from rsb_bridge.model.snapshot import LinkSnapshot
-from rsb_bridge.route.outgoing import OutgoingRoute
+from rsb_bridge.route.sender import Sender
 from rsb_bridge.tasks import in_slices
 from rsb_bridge.telemetry.meters import ClockOffset, Smoothed
 from rsb_bridge.wire.codec import ReportParts, report_entries
@@ -60,7 +60,7 @@ class LinkTraffic(Extension):
         self.rx, self.tx = Smoothed(now), Smoothed(now)
         self._received = self._sent = 0
 
-    back = connected
+    resume = connected
 
     def tick(self) -> None:
         now, carriers = self._link.context.now(), self._link.carriers()
@@ -103,7 +103,7 @@ class Neighbourhood(Extension):
 
 def _report(routes: Iterable[Route]) -> Report | None:
     """Return the counts that the peer does not know yet, or None if it knows all."""
-    news = [route.news() for route in routes if route.life.accepted]  # the other side may not know the others yet
+    news = [route.half.news() for route in routes if route.life.accepted]  # the other side may not know the others yet
     sent = tuple(each for each in news if isinstance(each, SentReport))
     received = tuple(each for each in news if isinstance(each, ReceivedReport))
     calls = tuple(each for each in news if isinstance(each, CallsReport))
@@ -176,8 +176,10 @@ class RouteReports(Extension):
 
     def _receive_entry(self, entry: SentReport | ReceivedReport | CallsReport) -> None:
         route = self._link.ids.open_route(entry.route)
-        if route is not None and isinstance(entry, route.peer_report):  # a peer may report as the half that is here
-            route.reported(entry)
+        if route is not None and isinstance(
+            entry, route.half.peer_report
+        ):  # a peer may report as the half that is here
+            route.half.reported(entry)
 
 
 class Link(BaseLink):
@@ -263,8 +265,8 @@ class Link(BaseLink):
     def peer_leaves(self) -> None:
         """Take the peer's counts for final, as it leaves with a goodbye."""
         for route in self.routes.values():
-            if isinstance(route, OutgoingRoute):
-                route.receiver_left()
+            if isinstance(route.half, Sender):
+                route.half.receiver_left()
 
     # --- snapshots
 

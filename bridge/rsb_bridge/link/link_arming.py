@@ -186,7 +186,7 @@ class LinkArming:
 
     async def load_type(self, route: Route) -> None:
         """Load the type of a route's messages before it is armed: from then on the loop must not stand still."""
-        await self._context.load_type(route.type_name or full_type(route.proposal.type))
+        await self._context.load_type(route.half.carried.type_name or full_type(route.proposal.type))
 
     def demanded(self, route: Route) -> dict[str, Any]:
         """Return this side's demand for the present opening, as fields of a proposal."""
@@ -363,7 +363,7 @@ class LinkArming:
         """Keep messages back, as the two sides do not hear each other; this disarms nothing yet."""
         for route in self._routes():
             if route.arming.phase is ArmingPhase.ARMED:
-                route.lapsed()
+                route.half.lapse()
 
     def end_overdue(self) -> None:
         """Disarm overdue routes, and schedule the ones due before the next beat."""

@@ -39,7 +39,7 @@ class LinkFault(Extension):
         self.duplicates = DuplicateClients(self.duplicates.name)  # without a link, nobody has the name
         self._warned = LinkCause.NONE, 0.0  # a link that is up again before the next tick is another one
 
-    away = disconnected
+    suspend = disconnected
 
     def tick(self) -> None:
         self.now()  # a warning begins now, even if no console asks for a snapshot

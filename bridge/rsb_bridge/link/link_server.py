@@ -225,7 +225,7 @@ class Server:
             return msgspec.structs.replace(welcome, taken=link.name_taken())
         if link.shut_down_by is not None:
             return msgspec.structs.replace(welcome, shut_down=link.shut_down_by.refusal())
-        if link.session is not None and link.session.may_go_on(hello):
+        if link.session is not None and link.session.may_resume(hello):
             return msgspec.structs.replace(welcome, session=link.session.id, handled=link.handled)
         return welcome
 
@@ -239,7 +239,7 @@ class Server:
         if event.answer is None or not event.answer.session:
             text = f"replaced: {link.name} at {link.address} by a newer connection from {stream.peer}"
             link.end(text, retry_after=_REPLACED_PAUSE, code=EventCode.LINK_REPLACED)
-        elif link.session is None or not link.session.may_go_on(event.peer) or link.handled != event.answer.handled:
+        elif link.session is None or not link.session.may_resume(event.peer) or link.handled != event.answer.handled:
             raise Refusal(RefusalCode.BUSY, "its session has moved on meanwhile: try again")
         return link.accept(stream, connection, event)
 

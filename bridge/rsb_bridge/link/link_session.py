@@ -1,8 +1,8 @@
 """The part of a link that outlives its connections: channels, and control messages that the peer has not handled.
 
-Two processes that have linked share a session (PROTOCOL.md, 1.7). When a connection breaks, the link is away: routes,
-their ids, endpoints and queues stay, and control messages wait. The next connection goes on where both sides were: each
-says how many messages it has handled, and the other sends the rest again.
+Two processes that have linked share an association, the session (PROTOCOL.md, 1.7). It suspends when a connection
+breaks: routes, their ids, endpoints and queues stay, and control messages wait. It resumes on the next connection where
+both sides were: each says how many messages it has handled, and the other sends the rest again.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class LinkSession:
         instance: of the peer's process.
 
     Attributes:
-        channels: of the present connection, or of the last one while the link is away.
+        channels: of the present connection, or of the last one while it is suspended.
         handled: messages of the peer that this side has handled to their end.
         is_over: whether more messages waited than may: it ends with its connection.
     """
@@ -51,25 +51,25 @@ class LinkSession:
 
     # --- its connections
 
-    def may_go_on(self, hello: Hello) -> bool:
-        """Whether a client may go on with it: it is the same process, and nothing is missing."""
+    def may_resume(self, hello: Hello) -> bool:
+        """Whether a client may resume it: it is the same process, and nothing is missing."""
         known = (hello.session, hello.instance) == (self.id, self._instance)
         return known and self.could_have_handled(hello.handled)
 
-    def goes_on(self, event: Established) -> bool:
-        """Whether both sides go on with it on a new connection."""
+    def resumes(self, event: Established) -> bool:
+        """Whether both sides resume it on a new connection."""
         return (event.answer or event.peer).session == self.id
 
-    def away(self, reason: str, ends: asyncio.TimerHandle) -> None:
+    def suspend(self, reason: str, ends: asyncio.TimerHandle) -> None:
         """Wait for another connection until the timer ends the session."""
         self._ends = ends
-        self.channels.away(reason)
+        self.channels.suspend(reason)
 
-    def back(self, control: ControlChannel, event: Established) -> Sequence[ControlMessageBase]:
-        """Go on on another connection, and return what the peer lacks."""
+    def resume(self, control: ControlChannel, event: Established) -> Sequence[ControlMessageBase]:
+        """Resume on another connection, and return what the peer lacks."""
         self._stop_waiting()
         again = tuple(self._waiting)
-        self.channels.back(control, event.keys, [each.route for each in again if isinstance(each, Propose)])
+        self.channels.resume(control, event.keys, [each.route for each in again if isinstance(each, Propose)])
         return again
 
     def end(self) -> None:

@@ -125,7 +125,7 @@ class PathWatch(Extension):
     def disconnected(self) -> None:
         self._begin()  # except for the losses: they count for the next connection, if that comes soon
 
-    away = disconnected
+    suspend = disconnected
 
     def tick(self) -> None:
         link = self._link
@@ -134,12 +134,12 @@ class PathWatch(Extension):
         counts = {each: each.packets() for each in link.carriers() if isinstance(each, Stream)}
         routes = link.routes.values()
         # First, which of them it may be: what a class is an instance of takes longer, and there may be hundreds.
-        by_datagrams = [route.channel for route in routes if not route.transport.reliable]
+        by_datagrams = [route.half.carried.channel for route in routes if not route.transport.reliable]
         stalled = self.observe(
             link.control.stream,
             {stream: packets for stream, packets in counts.items() if packets is not None},
             [channel for channel in by_datagrams if isinstance(channel, DatagramSender)],
-            large_vanish=any(each.large_vanish for each in link.awake),
+            large_vanish=any(each.half.facts.large_vanish for each in link.awake),
         )
         for stream in stalled:
             stream.abort(STALLED)

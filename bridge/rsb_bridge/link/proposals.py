@@ -23,6 +23,7 @@ from rsb_bridge.model.session import RANKS, Topic, priority_of
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.topic_keys import TOPIC_KEYS
 from rsb_bridge.model.transports import NO_PROFILE, compression_of
+from rsb_bridge.route.entry import Entry
 from rsb_bridge.route.route import route_key
 from rsb_bridge.wire.messages import Amend, Propose
 
@@ -153,6 +154,12 @@ def amended_topic(topic: Topic, limits: Propose) -> Topic:
     return msgspec.structs.replace(topic, **_limits(topic_of(limits)))
 
 
+def amended_entry(entry: Entry, limits: Propose | Amend) -> Entry:
+    """Return an entry with the limits of a proposal, or of a change."""
+    proposal = amended(entry.proposal, limits)
+    return Entry(amended_topic(entry.topic, proposal), proposal)
+
+
 ARMING_KEYS = ("arm", "deadman", "on_end", "limits")
 """Keys that each session sets for itself: what either one demands holds."""
 _OF_SESSION = frozenset({*ARMING_KEYS, "paused", "excepts"})
@@ -184,9 +191,10 @@ def place_of(entry: Topic, link: BaseLink, pattern: str = "") -> str:
     return sanitize_text(link.context.in_file.place("" if link.is_client else link.name, identity), TEXT_LENGTH)
 
 
-def listed_differently(entry: Topic, ours: Propose, theirs: Propose, link: BaseLink) -> str:
+def listed_differently(ours: Entry, theirs: Propose, link: BaseLink) -> str:
     """Return how this side's entry differs from the peer's in what both have to agree on, or an empty string."""
-    here, there = topic_of(_with_server_name(ours, link)), topic_of(theirs)
+    entry = ours.topic
+    here, there = topic_of(_with_server_name(ours.proposal, link)), topic_of(theirs)
     own, other = here.parsed_qos(), there.parsed_qos()
     if own and other:  # only the policies that differ
         names = [name for name in own.__struct_fields__ if getattr(own, name) != getattr(other, name)]
@@ -201,8 +209,8 @@ def listed_differently(entry: Topic, ours: Propose, theirs: Propose, link: BaseL
     return Denied.LISTED_DIFFERENTLY(here=place, mine=mine, there=far_place, theirs=others) if mine else ""
 
 
-def authorized(proposal: Propose, link: BaseLink) -> tuple[Propose, Topic]:
-    """Return the peer's proposal with this side's name for the topic, and as an entry.
+def authorized(proposal: Propose, link: BaseLink) -> tuple[Entry, Route | None]:
+    """Return the peer's proposal with this side's name for the topic, as an entry, and the route of that name.
 
     Raises:
         LinkError: it has a mistake, or the peer may not have the topic.
@@ -211,7 +219,7 @@ def authorized(proposal: Propose, link: BaseLink) -> tuple[Propose, Topic]:
     if not purpose.in_graph:
         entry = topic_of(proposal)
         _check_internal(entry, proposal, purpose, link)
-        return proposal, entry
+        return Entry(entry, proposal), link.routes.get(route_key(link.name, proposal))
     entry = check_wanted(proposal, link)
     ours = link.with_local_name(proposal)
     if renamed := ours != proposal:
@@ -219,9 +227,10 @@ def authorized(proposal: Propose, link: BaseLink) -> tuple[Propose, Topic]:
     for problem in problems_here(entry, link.context.session, renamed=renamed):
         raise LinkError(str(problem))
     own = link.routes.get(route_key(link.name, ours))
-    if own is None or not own.listed or listed_differently(own.spec, own.own or own.proposal, ours, link):
+    here = own.here if own is not None and own.listed else None
+    if here is None or listed_differently(here, ours, link):
         check_use(use_of(ours, is_client=link.is_client), link)  # what this side's session lists needs none
-    return ours, entry
+    return Entry(entry, ours), own
 
 
 def check_wanted(proposal: Propose, link: BaseLink) -> Topic:

@@ -26,6 +26,7 @@ from rsb_bridge.link.proposals import (
 from rsb_bridge.link.questions import Questions
 from rsb_bridge.model.demands import effective_max_age
 from rsb_bridge.model.text import sanitize_text
+from rsb_bridge.route.entry import Entry
 from rsb_bridge.route.route import route_key
 from rsb_bridge.wire.messages import Edit, EditAnswer
 
@@ -34,7 +35,6 @@ if TYPE_CHECKING:
     from rsb_bridge.link.route_table import RouteTable
     from rsb_bridge.model.session import Topic
     from rsb_bridge.route.route import Route
-    from rsb_bridge.wire.messages import Propose
 
 _ANSWERED_WITHIN = 10.0
 """Seconds that the other side has to change an entry. A round figure: nothing was measured."""
@@ -67,22 +67,23 @@ class ProposedTopics(Extension):
         Raises:
             LinkError: the topic has a mistake, or is bridged already, and the other side's entry is another one.
         """
-        proposal = self._proposal(topic)
-        route = self._link.routes.get(route_key(self._link.name, proposal))
+        entry = self._entry(topic)
+        route = self._link.routes.get(route_key(self._link.name, entry.proposal))
         if route is not None and route.pattern:
             return self.replace(route, topic)
-        if route is not None and not (route.proposed_here or route.own or by_pattern):
-            return self._list_too(route, topic, proposal)
-        return self._table.add(topic, proposal, proposed_here=True)
+        if route is not None and not (route.here or by_pattern):
+            return self._list_too(route, entry)
+        return self._table.add(entry, proposed_here=True)
 
-    def _list_too(self, route: Route, topic: Topic, proposal: Propose) -> Route:
+    def _list_too(self, route: Route, entry: Entry) -> Route:
         """List what the other side has opened in this side's session, too, unless the two entries differ."""
+        topic = entry.topic
         if route.proposal.by_pattern:  # an entry that names it goes before that
-            return self._table.change(route, topic, proposal)
-        if text := listed_differently(topic, proposal, route.proposal, self._link):
+            return self._table.change(route, entry)
+        if text := listed_differently(entry, route.proposal, self._link):
             self._table.keep_demand(topic, route.key)  # which holds all the same
             raise LinkError(text)
-        route.own, route.spec = proposal, msgspec.structs.replace(topic, paused=route.pausing.paused)
+        route.enter(entry._replace(topic=msgspec.structs.replace(topic, paused=route.pausing.paused)), route.there)
         self._table.listed.add(topic.identity)
         self._context.demands.changed()
         self._context.demands.apply()
@@ -93,19 +94,20 @@ class ProposedTopics(Extension):
     def unlist(self, route: Route) -> None:
         """Take what the other side has opened, and lists, too, out of this side's session."""
         self._table.listed.discard(route.spec.identity)
-        route.own, route.spec = None, msgspec.structs.replace(topic_of(route.proposal), paused=route.pausing.paused)
+        theirs = msgspec.structs.replace(topic_of(route.proposal), paused=route.pausing.paused)
+        route.enter(None, Entry(theirs, route.proposal))
         self._context.demands.changed()
 
     def is_bridged(self, topic: Topic) -> bool:
         """Whether a valid topic has a route, possibly under another name on the client."""
         try:
-            return route_key(self._link.name, self._proposal(topic)) in self._link.routes
+            return route_key(self._link.name, self._entry(topic).proposal) in self._link.routes
         except LinkError:
             return False
 
     def can_amend(self, route: Route, topic: Topic) -> bool:
         """Whether a route goes on, with its counts, if another valid topic takes its place: only limits differ."""
-        return same_route(route.proposal, self._proposal(topic))
+        return same_route(route.proposal, self._entry(topic).proposal)
 
     def replace(self, route: Route, topic: Topic) -> Route:
         """Put another topic in the place of one that this side proposes; a pattern no longer controls it.
@@ -115,35 +117,36 @@ class ProposedTopics(Extension):
         Raises:
             LinkError: the topic has a mistake, or there is such a route; the old route stays.
         """
-        table, proposal = self._table, self._proposal(topic)
-        if (key := route_key(self._link.name, proposal)) != route.key:  # the peer may bridge the new name already
+        table, entry = self._table, self._entry(topic)
+        if (key := route_key(self._link.name, entry.proposal)) != route.key:  # the peer may bridge the new name already
             table.keep_demand(topic, key)
-        if not same_route(route.proposal, proposal):
-            return table.change(route, topic, proposal)
+        if not same_route(route.proposal, entry.proposal):
+            return table.change(route, entry)
         route.pattern = ""
-        table.amend(route, topic, proposal)
+        table.amend(route, entry)
         return route
 
     def check_replace(self, route: Route, topic: Topic) -> None:
         """Raise `LinkError` where `replace` or `edit_there` would."""
-        proposal = self._proposal(topic)
-        if not same_route(route.proposal, proposal):
-            self._table.check_add(topic, proposal, instead_of=route)
+        entry = self._entry(topic)
+        if not same_route(route.proposal, entry.proposal):
+            self._table.check_add(entry, instead_of=route)
 
-    def _proposal(self, topic: Topic) -> Propose:
+    def _entry(self, topic: Topic) -> Entry:
+        """Return an entry of this side's session with its proposal; raise `LinkError` if it has a mistake."""
         link, session, prefixed = self._link, self._context.session, self._link.prefixed
         for problem in validate_topic(topic, session, client=link.name if prefixed else None):
             raise LinkError(str(problem))
         transport = self._context.transports[transport_of(topic, session).name]
         proposal = proposal_of(topic, transport, client_name=link.name, use_name=prefixed, profile=link.profile)
         check_features(use_of(proposal, is_client=link.is_client), session)
-        return proposal
+        return Entry(topic, proposal)
 
     # --- entries of the other side's session
 
     def names(self, topic: Topic) -> tuple[str, str]:
         """Return the key that a topic's route has, or will have, and the topic's name on this side."""
-        proposal = self._proposal(topic)
+        proposal = self._entry(topic).proposal
         return route_key(self._link.name, proposal), use_of(proposal, is_client=self._link.is_client).topic
 
     def demand(self, route: Route, topic: Topic) -> Topic:
@@ -159,8 +162,8 @@ class ProposedTopics(Extension):
         new = {name: getattr(topic, name) for name in ARMING_KEYS}
         if all(getattr(old, name) == value for name, value in new.items()):
             return topic
-        if route.own is not None:
-            route.spec = msgspec.structs.replace(old, **new)
+        if route.here is not None:
+            route.enter(route.here._replace(topic=msgspec.structs.replace(old, **new)), route.there)
             self._context.demands.changed()
         elif topic.arm:
             self._table.arming.keep_demand(self.names(topic)[1], topic)
@@ -186,11 +189,12 @@ class ProposedTopics(Extension):
         if new is not None and new.pausing.paused and not topic.paused:
             self._table.pause(new, paused=False)
         if new is not None and was_listed and not new.listed:  # under another name
-            self._list_too(new, topic, self._proposal(topic))
+            self._list_too(new, self._entry(topic))
 
     def question(self, route: Route, topic: Topic) -> Edit | None:
         """Return the message that asks the other side to put a topic in a route's place, or None if nothing differs."""
-        seen, wanted = (self._proposal(msgspec.structs.replace(each, paused=False)) for each in (route.spec, topic))
+        running = (msgspec.structs.replace(each, paused=False) for each in (route.spec, topic))
+        seen, wanted = (self._entry(each).proposal for each in running)
         if seen == wanted:
             return None
         self._asked += 1
@@ -231,7 +235,7 @@ class ProposedTopics(Extension):
             raise LinkError(Denied.AGE_OF_ARMED(topic=message.wanted.topic))
         if before.port != entry.port and not link.is_client:
             raise LinkError(Denied.PORT_OF_SERVER(topic=message.wanted.topic))
-        use = use_of(self._proposal(entry), is_client=link.is_client)
+        use = use_of(self._entry(entry).proposal, is_client=link.is_client)
         if use != use_of(route.proposal, is_client=link.is_client):
             check_use(use, link)
         new = self.replace(route, entry)

@@ -160,7 +160,7 @@ class TypeQuestions(Extension):
     async def _find(self, route_id: int) -> TypeText:
         texts: list[str] = []
         route = self._link.ids.open_route(route_id)
-        types, topic = ((), "") if route is None else (dict.fromkeys(route.message_types), route.local_topic)
+        types, topic = ((), "") if route is None else (dict.fromkeys(route.half.facts.message_types), route.local_topic)
         for each in types:
             text = await self._known.find(each.name, each.type_hash, topic) if each.type_hash else None
             if text is not None and sum(map(len, texts)) + len(texts) + len(text) <= DESCRIPTION_LIMIT:
@@ -174,16 +174,18 @@ class TypeQuestions(Extension):
             LinkError: neither side has the description, or this one has none and the peer cannot be asked, or does not
                 answer.
         """
-        if not route.type_hash:
-            raise LinkError("its type is not known yet" if not route.type_name else "its type's version is not known")
-        text = await self._known.find(route.type_name, route.type_hash, route.local_topic)
+        if not route.half.carried.type_hash:
+            raise LinkError(
+                "its type is not known yet" if not route.half.carried.type_name else "its type's version is not known"
+            )
+        text = await self._known.find(route.half.carried.type_name, route.half.carried.type_hash, route.local_topic)
         if text is None and not (self._link.linked and route.id):
-            raise LinkError(Denied.TYPE_NOT_HERE(type_name=route.type_name))
+            raise LinkError(Denied.TYPE_NOT_HERE(type_name=route.half.carried.type_name))
         if text is None:
-            self._keep(await self._questions.ask(route.id, AskType(route=route.id)), {route.type_hash})
-            text = self._known.known(route.type_hash)
+            self._keep(await self._questions.ask(route.id, AskType(route=route.id)), {route.half.carried.type_hash})
+            text = self._known.known(route.half.carried.type_hash)
         if text is None:
-            raise LinkError(Denied.TYPE_NOT_INSTALLED(type_name=route.type_name))
+            raise LinkError(Denied.TYPE_NOT_INSTALLED(type_name=route.half.carried.type_name))
         return text
 
     def compare(self, route_id: int, types: Sequence[TypeVersion], tell: Callable[[str], None]) -> None:

@@ -133,7 +133,7 @@ def _topic_steps(link: Link, topics: Sequence[Topic]) -> Iterator[ReloadStep]:
         if (listed := routes.get(identity)) is None:
             yield ReloadStep(_added(topic), partial(link.add_entry, topic))
         elif listed.spec != topic:
-            goes_on = listed.own is not None or link.proposed.can_amend(listed, topic)
+            goes_on = not listed.proposed_here or link.proposed.can_amend(listed, topic)
             effect = "" if goes_on else "; reopened, counted from 0"
             text = f"{named(topic)}: {', '.join(changes(listed.spec, topic))}{effect}"
             yield ReloadStep(text, partial(_replace, link, topic))
@@ -170,7 +170,7 @@ def _add_to_client(server: Server, name: str, topic: Topic) -> None:
 
 def _remove(link: Link, identity: Identity) -> None:
     route = _listed(link, identity)
-    if route is not None and route.own is not None:
+    if route is not None and not route.proposed_here:
         link.proposed.unlist(route)
     elif route is not None:  # else the other side has removed it meanwhile
         link.table.remove(route, _NOT_IN_FILE)
@@ -178,7 +178,7 @@ def _remove(link: Link, identity: Identity) -> None:
 
 def _replace(link: Link, topic: Topic) -> None:
     route = _listed(link, topic.identity)
-    if route is not None and route.own is None:
+    if route is not None and route.proposed_here:
         link.proposed.replace(route, topic)
         return
     if route is not None:  # the other side has opened it: it stays listed here if the two still say the same

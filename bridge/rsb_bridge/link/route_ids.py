@@ -80,7 +80,7 @@ class RouteIds:
     def awaits_channel(self, route_id: int) -> bool:
         """Whether a route is open under an id, and has no channel yet."""
         route = self._by_id.get(route_id)
-        return route is not None and route.channel is None
+        return route is not None and route.half.carried.channel is None
 
     def is_closed_id(self, route_id: int) -> bool:
         """Whether a route was open under an id and is closed: what still arrives for it is late, not wrong."""

@@ -15,7 +15,7 @@ from rsb_bridge.link.proposals import (
     ARMING_KEYS,
     allow_rate,
     amended,
-    amended_topic,
+    amended_entry,
     amendment,
     authorized,
     check_room,
@@ -32,14 +32,12 @@ from rsb_bridge.model.reason import EndCode, Reason
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.route.arming import Disarmed
-from rsb_bridge.route.calls.calling import CallingRoute
-from rsb_bridge.route.calls.calling_action import CallingActionRoute
-from rsb_bridge.route.calls.node_parameters import CallingParametersRoute, ProvidingParametersRoute
-from rsb_bridge.route.calls.providing import ProvidingRoute
-from rsb_bridge.route.calls.providing_action import ProvidingActionRoute
-from rsb_bridge.route.incoming import IncomingRoute
-from rsb_bridge.route.outgoing import OutgoingRoute
-from rsb_bridge.route.route import route_key
+from rsb_bridge.route.calls.caller import Caller
+from rsb_bridge.route.calls.provider import Provider
+from rsb_bridge.route.entry import Entry
+from rsb_bridge.route.receiver import Receiver
+from rsb_bridge.route.route import Route, route_key
+from rsb_bridge.route.sender import Sender
 from rsb_bridge.tasks import in_slices
 from rsb_bridge.transport.transport import ListenError
 from rsb_bridge.wire import messages as wire
@@ -49,7 +47,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.link.base_link import BaseLink
     from rsb_bridge.model.session import Identity, Topic
-    from rsb_bridge.route.route import Route
+    from rsb_bridge.route.half import Half
     from rsb_bridge.wire.records import RefuseCode
 
 _FromHalf: TypeAlias = wire.Describe | wire.Ready | wire.Publishers | wire.Provide
@@ -58,13 +56,9 @@ _AboutOpenRoute: TypeAlias = wire.Accept | wire.Refuse | wire.Close | wire.Limit
 RouteMessage: TypeAlias = wire.Propose | wire.Amend | wire.Pause | wire.LeaseMessage | _AboutOpenRoute
 """The control messages that are about routes."""
 
-_HALVES: dict[str, tuple[type[Route], type[Route]]] = {
-    "topic": (OutgoingRoute, IncomingRoute),
-    "service": (CallingRoute, ProvidingRoute),
-    "action": (CallingActionRoute, ProvidingActionRoute),
-    "parameters": (CallingParametersRoute, ProvidingParametersRoute),
-}
-"""The halves of a route of each kind: where its messages or calls come from, and where they go."""
+_OF_TOPIC: tuple[type[Half], type[Half]] = Sender, Receiver
+_OF_CALLS: tuple[type[Half], type[Half]] = Caller, Provider
+"""The halves of a route: where its messages or calls come from, and where they go."""
 
 
 class RouteTable(Extension):
@@ -98,11 +92,11 @@ class RouteTable(Extension):
     def connected(self) -> None:
         self._propose_soon(route for route in self._link.routes.values() if route.proposed_here)
 
-    def back(self) -> None:
+    def resume(self) -> None:
         for route in self._link.routes.values():
             if route.id and route.proposed_here and not route.life.accepted:  # opened while nobody could be asked
                 route.close("reopened")
-            route.back()
+            route.resume()
         self.connected()
 
     def disconnected(self) -> None:
@@ -111,46 +105,53 @@ class RouteTable(Extension):
         self._refused.clear()
         for route in self._link.routes.values():
             route.close(self._link.status.reason)
-            route.lead()  # the peer's next session may not list it any more
+            self._lead(route)  # the peer's next session may not list it any more
         self.arming.lease.stop()  # after the routes, which ask how long the other side may still publish
 
-    def away(self) -> None:
+    def suspend(self) -> None:
         self._to_propose.clear()
         for route in self._link.routes.values():
-            if route.id and route.outlives:
-                route.away()
+            if route.id and route.life.accepted and route.resumes:
+                route.suspend()
             elif route.id:
                 route.close(self._link.status.reason)
-                route.lead()
+                self._lead(route)
         self.arming.lease.stop()  # after the routes, as in `disconnected`
+
+    @staticmethod
+    def _lead(route: Route) -> None:
+        """Have this side propose a route again, if its session lists it."""
+        if route.here is not None:
+            route.enter(route.here, None)
 
     # --- adding and removing
 
-    def add(self, spec: Topic, proposal: wire.Propose, *, proposed_here: bool) -> Route:
+    def add(self, entry: Entry, *, proposed_here: bool) -> Route:
         """Make this side's half of a route, and ask the peer for the other half if this side proposes it.
 
         Raises:
             LinkError: there is such a route, or one that bridges the same service.
         """
-        self.check_add(spec, proposal)
-        sending, receiving = _HALVES[proposal.kind]
+        self.check_add(entry)
+        proposal = entry.proposal
+        sending, receiving = _OF_TOPIC if proposal.kind == "topic" else _OF_CALLS
         half = sending if proposal.from_client == self._link.is_client else receiving
-        route = half(self._context, self._link, spec, proposal, proposed_here=proposed_here)
+        route = Route(half, self._context, self._link, entry, proposed_here=proposed_here)
         self._link.routes[route.key] = route
         allow_rate(route, self._link)
         if proposed_here and route.purpose.in_graph:
-            self.listed.add(spec.identity)
+            self.listed.add(entry.topic.identity)
             self._context.demands.changed()
         if proposed_here and self._link.linked:
             self.propose(route, acting_operator())
         return route
 
-    def check_add(self, spec: Topic, proposal: wire.Propose, instead_of: Route | None = None) -> None:
+    def check_add(self, entry: Entry, instead_of: Route | None = None) -> None:
         """Raise `LinkError` if a topic cannot be added, or cannot replace a route."""
-        if self._link.routes.get(route_key(self._link.name, proposal), instead_of) is not instead_of:
-            raise LinkError(Denied.EDIT_THAT_ROUTE(topic=proposal.topic))
+        if self._link.routes.get(route_key(self._link.name, entry.proposal), instead_of) is not instead_of:
+            raise LinkError(Denied.EDIT_THAT_ROUTE(topic=entry.proposal.topic))
         others = (each for each in self._link.routes.values() if each is not instead_of)
-        if clash := overlap(spec, (each.spec for each in others if each.id or each.proposed_here)):
+        if clash := overlap(entry.topic, (each.spec for each in others if each.id or each.proposed_here)):
             raise LinkError(clash)
 
     def keep_demand(self, spec: Topic, key: str) -> None:
@@ -166,21 +167,21 @@ class RouteTable(Extension):
         who = "" if anonymous else acting_operator()
         self._forget(route, EventCode.ROUTE_REMOVED, reason, tell=EndCode.REMOVED, who=who)
 
-    def change(self, route: Route, spec: Topic, proposal: wire.Propose) -> Route:
+    def change(self, route: Route, entry: Entry) -> Route:
         """Replace a route; this side proposes the new one.
 
         Raises:
             LinkError: there is such a route; the old one stays.
         """
-        self.check_add(spec, proposal, instead_of=route)
+        self.check_add(entry, instead_of=route)
         at = list(self._link.routes).index(route.key)
         self.listed.discard(route.spec.identity)
-        same_name = route_key(self._link.name, proposal) == route.key
+        same_name = route_key(self._link.name, entry.proposal) == route.key
         if route.arming.held:
             route.disarm(Disarmed.EDITED)
         tell = EndCode.EDITED if same_name else EndCode.REMOVED
         self._forget(route, EventCode.ROUTE_REMOVED, "edited", tell=tell)
-        new = self.add(spec, proposal, proposed_here=True)
+        new = self.add(entry, proposed_here=True)
         new.arming.follow(route.arming)
         # A session lists its topics in this order.
         routes = [each for each in self._link.routes.values() if each is not new]
@@ -227,9 +228,11 @@ class RouteTable(Extension):
         self._link.ids.forget(route)
         route.log(Level.INFO, code, reason)
 
-    def amend(self, route: Route, spec: Topic, proposal: wire.Propose) -> None:
+    def amend(self, route: Route, entry: Entry) -> None:
         """Change the limits of a route that this side proposes, while it stays open."""
-        route.amend(msgspec.structs.replace(spec, paused=route.pausing.paused), amended(route.proposal, proposal))
+        spec = entry.topic
+        topic = msgspec.structs.replace(spec, paused=route.pausing.paused)
+        route.amend(Entry(topic, amended(route.proposal, entry.proposal)), None)
         self._context.demands.changed()
         if not self.arming.renew_demand(route):
             route.settle_age()
@@ -243,14 +246,12 @@ class RouteTable(Extension):
     def _amended(self, message: wire.Amend) -> None:
         """Take the limits of a route that the peer proposes."""
         route = self._link.ids.find(message.route)
-        if route is None or route.proposed_here:  # it was removed here before the message arrived
+        if route is None or route.there is None:  # it was removed here before the message arrived
             return
-        old, proposal = route.spec, amended(route.proposal, message)
-        spec = amended_topic(old, proposal)
-        if route.own is not None:  # this side's entry changes with the peer's, but keeps the `max_age` of its own
-            route.own = msgspec.structs.replace(amended(route.own, message), max_age=route.own.max_age)
-            spec = msgspec.structs.replace(spec, max_age=old.max_age)
-        route.amend(spec, proposal)
+        old, here = route.spec, route.here
+        if here is not None:  # this side's entry changes with the peer's, but keeps the `max_age` of its own
+            here = amended_entry(here, msgspec.structs.replace(message, max_age=here.proposal.max_age))
+        route.amend(here, amended_entry(route.there, message))
         if message.who:
             self.peer_operators.edited(route, message.who, old)
 
@@ -419,21 +420,21 @@ class RouteTable(Extension):
             LinkError: the peer may not have it.
         """
         link = self._link
-        ours, entry = authorized(proposal, link)
-        before = known = self._known(ours, entry)
+        theirs, known = authorized(proposal, link)
+        before = known = known or self._listed_as(theirs)
         if known is not None and known.proposed_here:
-            self._settle_double(known, ours)
-            known = known if known.own is not None else None
+            self._settle_double(known, theirs)
+            known = None if known.proposed_here else known
         if known is None:
             check_room(link)
-            route = self.add(entry, ours, proposed_here=False)
-        elif same_route(known.proposal, ours):
+            route = self.add(theirs, proposed_here=False)
+        elif same_route(known.proposal, theirs.proposal):
             route = known
-            if route.own is None:
-                route.amend(amended_topic(route.spec, ours), amended(route.proposal, ours))
+            if route.here is None and route.there is not None:
+                route.amend(None, amended_entry(route.there, theirs.proposal))
             route.close("reopened")
         else:
-            route = self._changed_by_peer(known, ours, entry)
+            route = self._changed_by_peer(known, theirs)
         if before is not None:
             route.arming.follow(before.arming)
         same_process = route.instance == link.instance  # before it is opened, which notes the present process
@@ -444,15 +445,12 @@ class RouteTable(Extension):
         link.spawn(self._accept(route, proposal))
         self.peer_operators.proposed(route, proposal, edited=before is not None)
 
-    def _known(self, ours: wire.Propose, entry: Topic) -> Route | None:
-        """Return the route that a proposal of the peer is about, or None."""
-        if (known := self._link.routes.get(route_key(self._link.name, ours))) is not None:
-            return known
-        # What this side proposes of the same topic has another key if its name on the server is another one.
-        identity, routes = entry.identity, self._link.routes.values()
+    def _listed_as(self, theirs: Entry) -> Route | None:
+        """Return the route that this side proposes of the same topic under another name on the server, or None."""
+        identity, routes = theirs.topic.identity, self._link.routes.values()
         return next((each for each in routes if each.proposed_here and each.spec.identity == identity), None)
 
-    def _settle_double(self, known: Route, theirs: wire.Propose) -> None:
+    def _settle_double(self, known: Route, entry: Entry) -> None:
         """Decide about a topic that both sides propose. The peer comes to the same end.
 
         An entry that names a topic goes before what a pattern has made. Of two patterns, the client's counts. Two
@@ -461,13 +459,13 @@ class RouteTable(Extension):
         Raises:
             RefusedError: the peer's proposal is refused; else this side's has given way.
         """
-        link, named = self._link, known.listed
+        link, named, theirs = self._link, known.listed, entry.proposal
         named_there = purposes()[theirs.purpose].in_graph and not theirs.by_pattern
         if not named and (named_there or not link.is_client):
             self._forget(known, EventCode.ROUTE_REPLACED, "the other side lists it", tell=EndCode.REMOVED)
             return
-        if named and named_there:
-            if text := listed_differently(known.spec, known.proposal, theirs, self._link):
+        if named and named_there and known.here is not None:
+            if text := listed_differently(known.here, theirs, self._link):
                 # The peer may have it open under another key.
                 self._tell_end(known, EndCode.LISTED_DIFFERENTLY, text)
                 known.refuse(EventCode.ROUTE_LISTED_DIFFERENTLY, Reason(text, EndCode.LISTED_DIFFERENTLY))
@@ -475,7 +473,7 @@ class RouteTable(Extension):
             if not link.is_client:
                 # The client may have removed its entry since, and accepted this side's.
                 self._tell_end(known, EndCode.REMOVED, "the client's is open")
-                known.follow(theirs)
+                known.enter(known.here, entry)
                 return
             if not known.id:
                 self.propose(known)
@@ -514,17 +512,19 @@ class RouteTable(Extension):
                 route.disarm(Disarmed.EDITED)
             route.close(message.reason)
 
-    def _changed_by_peer(self, known: Route, ours: wire.Propose, entry: Topic) -> Route:
+    def _changed_by_peer(self, known: Route, theirs: Entry) -> Route:
         """Put a changed proposal of the peer in the place of its earlier one; this side's entry of it follows."""
         self._forget(known, EventCode.ROUTE_REPLACED, "changed by the other side")
-        if known.own is None:
-            return self.add(entry, ours, proposed_here=False)
-        spec = edited_entry(known.spec, known.proposal, ours, self._link)
-        spec = msgspec.structs.replace(spec, max_age=known.spec.max_age)
-        route = self.add(spec, ours, proposed_here=False)
-        demands = {name: getattr(known.own, name) for name in (*ARMING_KEYS, "max_age")}
-        route.own, route.spec = msgspec.structs.replace(ours, **demands), spec
-        self._context.demands.changed()
+        route = self.add(theirs, proposed_here=False)
+        if known.here is not None:
+            spec = edited_entry(known.spec, known.proposal, theirs.proposal, self._link)
+            demands = {name: getattr(known.here.proposal, name) for name in (*ARMING_KEYS, "max_age")}
+            here = Entry(
+                msgspec.structs.replace(spec, max_age=known.spec.max_age),
+                msgspec.structs.replace(theirs.proposal, **demands),
+            )
+            route.enter(here, theirs)
+            self._context.demands.changed()
         return route
 
     def _about_route(self, route: Route, message: _AboutOpenRoute) -> None:
@@ -549,14 +549,14 @@ class RouteTable(Extension):
                     reason = known if known.code is differs else Reason(reason.text, differs)
                 route.refuse(EventCode.ROUTE_REFUSED, reason)
             # Of these, what is for the other half is ignored.
-            case wire.Describe() if isinstance(route, IncomingRoute):
-                route.described(message)
-            case wire.Publishers() if isinstance(route, IncomingRoute):
-                route.told_of_publishers(message)
-            case wire.Ready() if isinstance(route, OutgoingRoute):
-                route.peer_ready(message)
-            case wire.Provide() if isinstance(route, CallingRoute):
-                route.provided(message)
+            case wire.Describe() if isinstance(route.half, Receiver):
+                route.half.described(message)
+            case wire.Publishers() if isinstance(route.half, Receiver):
+                route.half.told_of_publishers(message)
+            case wire.Ready() if isinstance(route.half, Sender):
+                route.half.peer_ready(message)
+            case wire.Provide() if isinstance(route.half, Caller):
+                route.half.provided(message)
             case wire.Close():
                 reason = Reason(message.reason, message.code)
                 if not reason.broke:
@@ -593,8 +593,8 @@ class RouteTable(Extension):
                 if now >= route.reopening.retry_at:
                     self._propose_soon((route,))
             elif now > route.reopening.awaited_until(link.linked_at):
-                if route.own is not None:  # this side's session lists it, too
-                    route.lead()
+                if route.here is not None:  # this side's session lists it, too
+                    self._lead(route)
                     self.propose(route)
                 else:
                     self._forget(route, EventCode.ROUTE_REMOVED, "the other side no longer asks for it")

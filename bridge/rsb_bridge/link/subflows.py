@@ -37,7 +37,7 @@ class Subflows(Extension):
     def _forget(self) -> None:
         self.ways, self._used = (), None
 
-    disconnected = away = _forget
+    disconnected = suspend = _forget
 
     def tick(self) -> None:
         control = self._link.control

@@ -87,7 +87,7 @@ class RosTurns:
         self.count += 1
 
 
-class Receiver(Protocol[T_contra]):
+class BatchReceiver(Protocol[T_contra]):
     """The receiver of an endpoint's messages, requests or responses on the I/O loop."""
 
     def offer(self, batch: Sequence[T_contra]) -> None:
@@ -112,12 +112,12 @@ class RosToLoopQueue:
         """
         self._loop = loop
         self._do_now = do_now or (lambda _: False)
-        self._batches: deque[tuple[Receiver[Any], Sequence[Any]]] = deque()
+        self._batches: deque[tuple[BatchReceiver[Any], Sequence[Any]]] = deque()
         self._room = threading.Event()
         self._is_full = False  # the ROS thread waits, or is about to
         self._scheduled = False
 
-    def put(self, receiver: Receiver[T], batch: Sequence[T]) -> None:
+    def put(self, receiver: BatchReceiver[T], batch: Sequence[T]) -> None:
         """Called on the ROS thread."""
         self._batches.append((receiver, batch))
         if self._do_now(self._drain):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, ClassVar, Protocol, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, TypeVar
 
 from rsb_bridge.channel.channel import REOPENS
 from rsb_bridge.model.reason import EndCode
@@ -46,9 +46,8 @@ _BETWEEN_LOSSES = frozenset(
 
 
 class JudgedRoute(Protocol):
-    """One half of a route, as the rules of its verdict and of its stages read it."""
+    """A route, as the rules of its half's verdict and of its stages read it."""
 
-    outgoing: ClassVar[bool]
     context: Context
     transport: Transport
     local_topic: str
@@ -69,6 +68,16 @@ class JudgedRoute(Protocol):
     @property
     def shown_refusal(self) -> Reason: ...
 
+    def trouble(self) -> Verdict | None: ...
+
+    def away_text(self) -> str: ...
+
+
+class JudgedHalf(Protocol):
+    """One half of a route, as the same rules read it."""
+
+    route: Any
+
     @property
     def breaking(self) -> str: ...
 
@@ -78,12 +87,8 @@ class JudgedRoute(Protocol):
     @property
     def came_before(self) -> bool: ...
 
-    def trouble(self) -> Verdict | None: ...
 
-    def away_text(self) -> str: ...
-
-
-HalfT = TypeVar("HalfT", bound=JudgedRoute)
+HalfT = TypeVar("HalfT", bound=JudgedHalf)
 Rules: TypeAlias = "tuple[Callable[[HalfT, Crossing], Verdict | None], ...]"
 """Rules for what a route carries, over one half and whether messages may cross it, which takes a while to find out.
 The order counts: of equally bad verdicts, the first does."""
@@ -98,12 +103,12 @@ def judge(half: HalfT, crossing: Crossing, rules: Rules[HalfT]) -> Verdict:
     if (blocking := blocked(half, crossing)) is not None:
         return explained(half, blocking)
     # A stream of a full link only waits for its turn.
-    no_path = half.trouble()
-    found = [] if no_path is None or (half.transport.reliable and half.link_full is not None) else [no_path]
+    no_path = half.route.trouble()
+    found = [] if no_path is None or (half.route.transport.reliable and half.route.link_full is not None) else [no_path]
     # A generator would take a call for each rule, once a second for each route.
     found += [verdict for rule in rules if (verdict := rule(half, crossing)) is not None]
-    if half.limit.rate:
-        found.append(Verdict(State.OK, Cause.THROTTLED, f"limit {half.limit.rate:g} Hz, {half.limit.why}"))
+    if half.route.limit.rate:
+        found.append(Verdict(State.OK, Cause.THROTTLED, f"limit {half.route.limit.rate:g} Hz, {half.route.limit.why}"))
     if not found:
         return FINE
     worst = explained(half, min(found, key=lambda verdict: verdict.state.rank))
@@ -113,16 +118,16 @@ def judge(half: HalfT, crossing: Crossing, rules: Rules[HalfT]) -> Verdict:
     return worst if explanation is None else replace(explanation, state=worst.state)
 
 
-def explained(half: JudgedRoute, verdict: Verdict) -> Verdict:
+def explained(half: JudgedHalf, verdict: Verdict) -> Verdict:
     """Return a verdict with the fault of the path as its cause, if that explains it.
 
     A silent link says nothing of its topics: they wait.
     """
-    path = half.peer.path.fault
+    path = half.route.peer.path.fault
     cause = None if path is None else path.of_topic(verdict.cause)
     if path is None or cause is None:
         return verdict
-    if verdict.cause is Cause.UNANSWERED and not half.outgoing:
+    if verdict.cause is Cause.UNANSWERED and not half.route.outgoing:
         return verdict  # the calls came, and it is a node of this side that has not answered them
     state = State.WAITING if cause is Cause.AWAITS_LINK else verdict.state
     return replace(verdict, state=state, cause=cause, text=path.text)
@@ -159,10 +164,10 @@ class LossyPath:
         return Verdict(State.SLOW, Cause.LOSSY, path.text)
 
 
-def blocked(half: JudgedRoute, crossing: Crossing) -> Verdict | None:
+def blocked(half: JudgedHalf, crossing: Crossing) -> Verdict | None:
     """Return the verdict that keeps the others from being known, or None."""
-    if not half.peer.linked:
-        return Verdict(State.DOWN, Cause.LINK_DOWN, half.away_text(), half.peer.away_since)
+    if not half.route.peer.linked:
+        return Verdict(State.DOWN, Cause.LINK_DOWN, half.route.away_text(), half.route.peer.suspended_since)
     # Each loss of a channel refuses the route, too. This comes first, because its text has the remedy.
     if why := half.breaking:
         text = (
@@ -173,21 +178,23 @@ def blocked(half: JudgedRoute, crossing: Crossing) -> Verdict | None:
     return _refused(half) or _held_back(half, crossing)
 
 
-def stages_with_link(half: JudgedRoute, before: Sequence[Stage], after: Sequence[Stage]) -> tuple[Stage, ...]:
+def stages_with_link(half: JudgedHalf, before: Sequence[Stage], after: Sequence[Stage]) -> tuple[Stage, ...]:
     """Return a half's stages, with those of the link and of the peer's acceptance in the middle.
 
     The link's needs a working channel. Without a link, no other one is known.
     """
-    if not half.peer.linked:
-        link = Stage(_LINK_STAGE, False, half.peer.down_reason)
+    if not half.route.peer.linked:
+        link = Stage(_LINK_STAGE, False, half.route.peer.down_reason)
         before, after = ([Stage(each.name, None) for each in part] for part in (before, after))
         return (*before, link, Stage(ACCEPTED, None), *after)
-    no_path, refusal = half.trouble(), half.life.refusal
+    no_path, refusal = half.route.trouble(), half.route.life.refusal
     if no_path is None:
         link = Stage(_LINK_STAGE, True)
     else:
         link = Stage(_LINK_STAGE, False if no_path.state is State.DOWN else None, no_path.text)
-    accepted = Stage(ACCEPTED, False, str(refusal)) if refusal.text else Stage(ACCEPTED, half.life.accepted or None)
+    accepted = (
+        Stage(ACCEPTED, False, str(refusal)) if refusal.text else Stage(ACCEPTED, half.route.life.accepted or None)
+    )
     return (*before, link, accepted, *after)
 
 
@@ -198,8 +205,8 @@ def first_missing(stages: Iterable[Stage]) -> str:
     return (first.detail or first.name) if first else ""
 
 
-def _refused(half: JudgedRoute) -> Verdict | None:
-    refusal = half.shown_refusal
+def _refused(half: JudgedHalf) -> Verdict | None:
+    refusal = half.route.shown_refusal
     if not refusal.text:
         return None
     if refusal.code is EndCode.LISTED_DIFFERENTLY:
@@ -207,26 +214,26 @@ def _refused(half: JudgedRoute) -> Verdict | None:
     if not refusal.broke:
         return Verdict(State.DOWN, Cause.REFUSED, refusal.text)
     # Nobody has refused it. If the path is at fault, the link finds out within seconds, and shows it for all topics.
-    if half.peer.path.fault is None and half.reopening.reopens(half.context.now()):
+    if half.route.peer.path.fault is None and half.route.reopening.reopens(half.route.context.now()):
         return Verdict(State.WAITING, Cause.AWAITS_LINK, f"{REOPENS} ({refusal.text})")
     return Verdict(State.DOWN, Cause.NO_PATH, str(refusal))
 
 
-def _held_back(half: JudgedRoute, crossing: Crossing) -> Verdict | None:
+def _held_back(half: JudgedHalf, crossing: Crossing) -> Verdict | None:
     match crossing:
         case Crossing.LOOP:
-            return Verdict(State.DOWN, Cause.LOOP, half.notices.loop)
+            return Verdict(State.DOWN, Cause.LOOP, half.route.notices.loop)
         case Crossing.DISARMING:
-            _, disarmed = half.arming.why_at(half.context.now())
+            _, disarmed = half.route.arming.why_at(half.route.context.now())
             text = f"{disarmed}; earlier messages may still act for 1 s"
             return Verdict(State.DISARMING, Cause.DISARMING, text)
         case Crossing.PAUSED:
-            who = half.pausing.who
+            who = half.route.pausing.who
             return Verdict(State.PAUSED, Cause.PAUSED, f"paused ({who})" if who else "paused by an operator")
         case Crossing.DISARMED | Crossing.ASKED | Crossing.BEGINS:
-            why, disarmed = half.arming.why_at(half.context.now())
+            why, disarmed = half.route.arming.why_at(half.route.context.now())
             # That reason names the step that has to come first.
-            remedy = "" if why is Disarmed.LINK_SLOW else f": arm it (key A, rsb-console arm {half.local_topic})"
+            remedy = "" if why is Disarmed.LINK_SLOW else f": arm it (key A, rsb-console arm {half.route.local_topic})"
             return Verdict(State.DISARMED, Cause.DISARMED, disarmed + remedy)
         case Crossing.NOT_OPEN | Crossing.UNHEARD | Crossing.YES:
             return None

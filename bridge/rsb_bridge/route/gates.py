@@ -14,7 +14,8 @@ These are no gates:
 - `rate_limit.LastLater`, which does so with the last message before a silence, of a topic that moves a robot.
 - a full queue and a lost link: no rule keeps these messages back.
 - pause, arming and loops of a message that `LastLater` sends: `sending.OutgoingPath` asks them once more.
-- a message with a lease's number on a route that needs no arming: `incoming.IncomingRoute` drops it as it unpacks it.
+- a message with a lease's number on a route that needs no arming: `incoming_path.IncomingPath` drops it when it
+  unpacks it.
 - what an operator publishes by hand: the feature `driving` asks `why_not_by_hand` of all routes of the topic
   together, then whether it is about to be disarmed, who holds it, whether the robot would stop by itself, the limits of
   its velocity, and last the command's ticket.
@@ -23,7 +24,7 @@ These are no gates:
 from __future__ import annotations
 
 from functools import reduce
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias, TypeVar
 
 import msgspec
 
@@ -48,7 +49,7 @@ if TYPE_CHECKING:
     from rsb_bridge.route.peer import CallBudget
     from rsb_bridge.route.rate_limit import AllowedRates, LastLater, Throttle
     from rsb_bridge.route.route import Route
-    from rsb_bridge.route.topic_route import TopicRoute
+    from rsb_bridge.route.topic_flow import TopicFlow
     from rsb_bridge.wire.framing import Message
 
 
@@ -237,13 +238,13 @@ def loop_sieve(loops: LoopFilter, route: Route, ledger: RouteLedger) -> Sieve[Ra
     return sieve
 
 
-def throttle_sieve(throttle: Throttle, ledger: RouteLedger, route: Route, later: LastLater) -> Sieve[RawMessage]:
+def throttle_sieve(throttle: Throttle, ledger: RouteLedger, flow: TopicFlow, later: LastLater) -> Sieve[RawMessage]:
     """Pass as many of a volatile topic's messages a second as both sides want."""
 
     def sieve(batch: Sequence[RawMessage]) -> Sequence[RawMessage]:
         passed = [message for message in batch if throttle.passes(message.stamp)]
         left_out = len(batch) - len(passed)
-        if route.type_name in DRIVING_TYPES or route.arming.required:
+        if flow.carried.type_name in DRIVING_TYPES or flow.route.arming.required:
             last = None if passed and passed[-1] is batch[-1] else batch[-1]
             left_out += later.follow(last) - (last is not None)
         ledger.throttled += left_out
@@ -306,7 +307,7 @@ class SendingGates(NamedTuple):
 
 
 def sending_gates(
-    route: TopicRoute[Any],
+    flow: TopicFlow,
     ledger: RouteLedger,
     throttle: Throttle,
     later: LastLater,
@@ -319,13 +320,14 @@ def sending_gates(
         later: has the last of what may move a robot pass after all.
         fitting: passes what the transport carries.
     """
+    route = flow.route
     age, ages = route.age, route.age.is_on
     # A latched topic's messages wait in its histories; their age is asked when they leave these (`kept_age_sieve`).
-    fresh = (fresh_sieve(age, ledger),) if ages and not route.is_latched else ()
+    fresh = (fresh_sieve(age, ledger),) if ages and not flow.is_latched else ()
     return SendingGates(
         batch=armed_gates(route),
         arriving=(*fresh, loop_sieve(loops, route, ledger)),
-        sourced=(throttle_sieve(throttle, ledger, route, later),) if throttle.is_on else (),
+        sourced=(throttle_sieve(throttle, ledger, flow, later),) if throttle.is_on else (),
         kept=(*((kept_age_sieve(age, ledger),) if ages else ()), kept_loop_sieve(loops, ledger)),
         packed=(fitting,),
         leaving=(young_sieve(age, ledger),) if ages else (),

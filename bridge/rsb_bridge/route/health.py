@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Protocol
 from rsb_bridge.telemetry.watches import LATELY, LossWatch, SlowWatch, StopWatch
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable
 
     from rsb_bridge.model.session import Topic
     from rsb_bridge.model.snapshot import Ledger
@@ -23,7 +23,6 @@ class WatchedTopic(Protocol):
     spec: Topic
     meter: RateMeter
     limit: RateLimit
-    endpoints: Sequence[Endpoint]
 
 
 class Health:
@@ -46,6 +45,7 @@ class Health:
         half: WatchedTopic,
         ledger: Ledger,
         now: float,
+        publishers: Iterable[Endpoint],
         *,
         usual_rate: float | None,
         quiet_since: float,
@@ -55,6 +55,7 @@ class Health:
         """Judge a half at `now` (s). Called once a second.
 
         Args:
+            publishers: of the topic here.
             usual_rate: Hz, learned, or None if unknown.
             quiet_since: time (s) of the last message, or when the first one was missing.
             flows: whether messages could cross now.
@@ -71,8 +72,8 @@ class Health:
             self.stop.reset()
             self.slow.reset()
             return
-        publishers = frozenset([each.gid for each in half.endpoints])
-        self.stop.judge(quiet_since, expected, now, publishers, promised=promised)
+        gids = frozenset([each.gid for each in publishers])
+        self.stop.judge(quiet_since, expected, now, gids, promised=promised)
         if self.stop.since is not None or not flows:
             self.slow.reset()
         elif not self.stop.quiet:  # a pause is not slow

@@ -1,9 +1,9 @@
-"""Decides when a half of a route is ticked: once a second while anything happens, and otherwise when something is due.
+"""Decides when a route is ticked: once a second while anything happens, and otherwise when something is due.
 
 The effects of a message, a report, a command or a change of the graph follow within seconds, and nearly all windows
-over which a half is judged are as short. So a half is ticked for a while after each event, and from then on only at the
-time that its rules name: `next_change`. Each event calls `Route.wake`, messages too. Nothing walks over idle halves: to
-touch hundreds of objects once a second takes longer than the work on a few.
+over which a route is judged are as short. So a route is ticked for a while after each event, and from then on only at
+the time that its rules name: `next_change`. Each event calls `Route.wake`, messages too. Nothing walks over idle
+routes: to touch hundreds of objects once a second takes longer than the work on a few.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 SETTLES = 12.0
-"""s after an event for which a half is ticked: longer than `watches.LATELY`, `topic_route._LATENCY_TICKS` and
+"""s after an event for which a route is ticked: longer than `watches.LATELY`, `topic_flow._LATENCY_TICKS` and
 `combined_verdict._WAITS`. Longer windows of the rules are in `next_change`."""
-POLLED_EVERY = 15.0  # s, at most, between two ticks of a half with something that does not tell when it changes
-_MOST_OUTDATED = 4096  # times of halves that were woken meanwhile, about, until they are looked through
+POLLED_EVERY = 15.0  # s, at most, between two ticks of a route with something that does not tell when it changes
+_MOST_OUTDATED = 4096  # times of routes that were woken meanwhile, about, until they are looked through
 
 Signs: TypeAlias = tuple[object, ...]
-"""What a half's verdict and its figures follow from, messages aside; they are equal while nothing happens."""
+"""What a route's verdict and its figures follow from, messages aside; they are equal while nothing happens."""
 
 
 class Idling:
-    """Decides when a half is ticked next.
+    """Decides when a route is ticked next.
 
     Attributes:
         until: time (s) of the next tick.
@@ -43,11 +43,11 @@ class Idling:
         self.passed = 0
 
     def wake(self, now: float) -> None:
-        """Have the half ticked each second again, as something has happened to it."""
+        """Have the route ticked each second again, as something has happened to it."""
         self.until, self._settles_until = now, now + SETTLES
 
     def missed(self, signs: Callable[[], Signs], now: float) -> bool:
-        """Whether the signs have changed of a half that is idle, or about to be."""
+        """Whether the signs have changed of a route that is idle, or about to be."""
         return now < self.until and signs() != self._signs
 
     def ticked(self, signs: Signs, passed: int, now: float, next_change: float) -> None:
@@ -63,8 +63,8 @@ class Idling:
         self.until = now if now < self._settles_until else next_change
 
 
-class Half(Protocol):
-    """A half of a route, as far as its ticks go."""
+class Tickable(Protocol):
+    """The members of a route that its ticks use."""
 
     idle: bool
     idling: Idling
@@ -76,50 +76,50 @@ class Half(Protocol):
         """Be awake again."""
 
 
-HalfT = TypeVar("HalfT", bound=Half)
+TickableT = TypeVar("TickableT", bound=Tickable)
 
 
-class Timetable(Generic[HalfT]):
-    """The halves of one link that are to be ticked.
+class Timetable(Generic[TickableT]):
+    """The routes of one link that are to be ticked.
 
     Attributes:
-        awake: the halves that are ticked.
+        awake: the routes that are ticked.
         changes: how many have come or gone.
         looked: time (s) of the last look.
     """
 
     def __init__(self, now: float) -> None:
-        self.awake: dict[HalfT, None] = {}
+        self.awake: dict[TickableT, None] = {}
         self.changes = 0
         self.looked = now
-        self._times: list[tuple[float, int, HalfT]] = []  # a heap of the times of idle ones, and of some that were
+        self._times: list[tuple[float, int, TickableT]] = []  # a heap of the times of idle ones, and of some that were
         self._number = count()
 
-    def add(self, half: HalfT) -> None:
-        """Begin with a half, which is awake."""
-        self.awake[half] = None
+    def add(self, route: TickableT) -> None:
+        """Begin with a route, which is awake."""
+        self.awake[route] = None
         self.changes += 1
 
-    def look(self, now: float) -> list[HalfT]:
-        """Return the halves to tick at `now` (s); the others are idle. Called once a second."""
+    def look(self, now: float) -> list[TickableT]:
+        """Return the routes to tick at `now` (s); the others are idle. Called once a second."""
         times = self._times
         while times and times[0][0] <= now:
-            until, _, half = heappop(times)
-            if half.idle and half.idling.until == until:  # else it was woken, or has gone
-                half.rise()
-        for half in [each for each in self.awake if each.rests(now)]:
-            del self.awake[half]
-            half.idle = True
-            if half.idling.until < inf:
-                heappush(times, (half.idling.until, next(self._number), half))
+            until, _, route = heappop(times)
+            if route.idle and route.idling.until == until:  # else it was woken, or has gone
+                route.rise()
+        for route in [each for each in self.awake if each.rests(now)]:
+            del self.awake[route]
+            route.idle = True
+            if route.idling.until < inf:
+                heappush(times, (route.idling.until, next(self._number), route))
         if len(times) > _MOST_OUTDATED:
             self._times = [each for each in times if each[2].idle and each[2].idling.until == each[0]]
             heapify(self._times)
         self.looked = now
         return [*self.awake]
 
-    def remove(self, half: HalfT) -> None:
-        """Forget a half that has gone."""
-        self.awake.pop(half, None)
+    def remove(self, route: TickableT) -> None:
+        """Forget a route that has gone."""
+        self.awake.pop(route, None)
         self.changes += 1
-        half.idling.until = -inf
+        route.idling.until = -inf

@@ -183,6 +183,7 @@ class PauseState:
     counts. So both sides end up with the same change, in any order of arrival.
 
     Attributes:
+        unpaused: revision of the last end of a pause in the present opening, or 0.
         who: operator of the last change, in words, or an empty string if unknown.
         changed: called after each change with `paused` as it was before, which may be the same.
     """
@@ -190,6 +191,7 @@ class PauseState:
     def __init__(self, revisions: Revisions, *, paused: bool, is_client: bool) -> None:
         self.paused = paused
         self.revision = revisions.next()
+        self.unpaused = 0
         self.who = ""
         self.changed: Callable[[bool], None] = lambda was: None
         self._revisions = revisions

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from typing import TYPE_CHECKING, ClassVar, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 import msgspec
 
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.ros.ros_interface import RawMessage
-    from rsb_bridge.route.peer import Peer
 
 # Round figures, which bound what looking costs a bridge: nothing was measured.
 LOOKERS = 32  # viewers at a time
@@ -86,19 +85,12 @@ class PeekSlot:
 
 
 class Peekable(Protocol):
-    """The members of a route that viewing its messages uses."""
+    """The members of a half that viewing its messages uses."""
 
-    outgoing: ClassVar[bool]
     peek_slot: PeekSlot
     qos: Qos | None
-    type_name: str
-    type_hash: str
-
-    @property
-    def peer(self) -> Peer: ...
-
-    @property
-    def local_topic(self) -> str: ...
+    carried: Any
+    route: Any
 
 
 class Peeking:
@@ -109,7 +101,7 @@ class Peeking:
         self._lookers = 0
         self._free_at = float("-inf")
 
-    async def peek(self, route: Peekable, *, kept: bool) -> PeekedMessage | None:
+    async def peek(self, flow: Peekable, *, kept: bool) -> PeekedMessage | None:
         """Wait for a message of a route.
 
         Args:
@@ -126,12 +118,12 @@ class Peeking:
         self._lookers += 1
         try:
             async with asyncio.timeout(WAITS_AT_MOST):
-                if (left := max(self._free_at, route.peek_slot.free_at) - self._context.now()) > 0:
+                if (left := max(self._free_at, flow.peek_slot.free_at) - self._context.now()) > 0:
                     await asyncio.sleep(left)
-                if kept and route.qos is not None and route.qos.latched:
-                    message = await self._first_of(route, route.qos)
+                if kept and flow.qos is not None and flow.qos.latched:
+                    message = await self._first_of(flow, flow.qos)
                 else:
-                    message = await route.peek_slot.next()
+                    message = await flow.peek_slot.next()
         except TimeoutError:
             return None
         finally:
@@ -139,7 +131,7 @@ class Peeking:
         self._free_at = max(self._free_at, self._context.now()) + len(message.payload) / BYTES_A_SECOND
         return message
 
-    async def _first_of(self, route: Peekable, qos: Qos) -> PeekedMessage:
+    async def _first_of(self, flow: Peekable, qos: Qos) -> PeekedMessage:
         """Return the first message that a late joiner on this side gets."""
         context = self._context
         first: asyncio.Future[PeekedMessage] = context.loop.create_future()
@@ -151,12 +143,12 @@ class Peeking:
 
         def show(message: RawMessage) -> None:
             if not first.done():
-                first.set_result(peeked(route, message.payload, message.stamp, is_kept=True))
+                first.set_result(peeked(flow, message.payload, message.stamp, is_kept=True))
 
         # what this node publishes is what late joiners get on the receiving side, and none of theirs on the other
-        origin = route.peer.name if route.outgoing else _LATE_JOINER
+        origin = flow.route.peer.name if flow.route.outgoing else _LATE_JOINER
         depth_one = msgspec.structs.replace(qos, history="keep_last", depth=1)
-        spec = TopicSpec(route.local_topic, route.type_name, route.type_hash, depth_one)
+        spec = TopicSpec(flow.route.local_topic, flow.carried.type_name, flow.carried.type_hash, depth_one)
         try:
             subscription = context.ros.subscribe(spec, take, origin)
         except RosError as error:
@@ -168,7 +160,7 @@ class Peeking:
 
 
 def peeked(
-    route: Peekable,
+    flow: Peekable,
     payload: bytes,
     time_ns: int,
     *,
@@ -188,10 +180,10 @@ def peeked(
     return PeekedMessage(
         payload=bytes(payload[:PEEK_LIMIT]),
         size=len(payload),
-        type_name=route.type_name,
-        type_hash=route.type_hash,
+        type_name=flow.carried.type_name,
+        type_hash=flow.carried.type_hash,
         time=time_ns / 1e9,
-        outgoing=route.outgoing,
+        outgoing=flow.route.outgoing,
         is_kept=is_kept,
         latency=latency,
         clock_offset=offset,

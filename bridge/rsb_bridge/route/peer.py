@@ -106,8 +106,8 @@ class Peer(Protocol):
         """Reason why it isn't linked, for an operator."""
 
     @property
-    def away_since(self) -> float | None:
-        """When (s) its connection was lost, if its session goes on without one, or None."""
+    def suspended_since(self) -> float | None:
+        """When (s) its connection was lost, if its association lives on without one, or None."""
 
     def send(self, message: ControlMessageBase) -> None:
         """Send a control message; without a connection, nothing happens."""

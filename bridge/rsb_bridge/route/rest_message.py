@@ -10,7 +10,7 @@ follows it.
 from __future__ import annotations
 
 import asyncio
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import msgspec
 
@@ -30,8 +30,9 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.model.calls import Fields
     from rsb_bridge.ros.ros_interface import Publisher, TopicSpec
+    from rsb_bridge.route.route import Route
     from rsb_bridge.route.source_publishers import SourcePublishers
-    from rsb_bridge.route.topic_route import TopicRoute
+    from rsb_bridge.route.topic_flow import AgreedEnd
 
     Mover = Publisher | SourcePublishers
     """What has published a message that moves the robot."""
@@ -51,7 +52,7 @@ class RestMessage:
     `Context.moved_by` says who moved a topic last, so that nobody ends another's motion.
 
     Args:
-        route: has `lapsed` called when a velocity has held for too long, to begin the rest.
+        route: has its half `lapse` when a velocity has held for too long, to begin the rest.
         on_end: ``zero``, or a message as JSON.
 
     Raises:
@@ -59,7 +60,7 @@ class RestMessage:
         FieldError: the message does not fit the type.
     """
 
-    def __init__(self, route: TopicRoute[Any], spec: TopicSpec, on_end: str) -> None:
+    def __init__(self, route: Route, spec: TopicSpec, on_end: str) -> None:
         self.spec, self.on_end = spec, on_end
         self._route, self._context = route, route.context
         context, link = route.context, route.peer.name
@@ -136,7 +137,7 @@ class RestMessage:
         if self._context.now() < self._holds_until:
             self._timer = self._context.loop.call_at(self._holds_until, self._end_hold)
         else:
-            self._route.lapsed()
+            self._route.half.lapse()
 
     @property
     def _is_moving(self) -> bool:
@@ -239,9 +240,9 @@ class RestAfterArming:
         message: the rest, or None if none follows.
     """
 
-    def __init__(self, route: TopicRoute[Any]) -> None:
+    def __init__(self, route: Route, end: AgreedEnd) -> None:
         self.message: RestMessage | None = None
-        self._route = route
+        self._route, self._end = route, end
 
     def prepare(self, spec: TopicSpec) -> None:
         """Have a rest that can follow messages of a spec.
@@ -250,7 +251,7 @@ class RestAfterArming:
             RosError: there can be none.
         """
         route, before = self._route, self.message
-        on_end = route.on_end_of(spec.type_name) if route.arming.required else END_NONE
+        on_end = self._end.of(spec.type_name) if route.arming.required else END_NONE
         if before is not None and before.fits(spec, on_end):
             return
         if on_end == END_NONE:

@@ -20,6 +20,7 @@ from rsb_bridge.route.peeking import peeked
 from rsb_bridge.route.rate_limit import LastLater, LatestLater, Throttle
 from rsb_bridge.route.route import route_weight
 from rsb_bridge.route.topic_verdict import USE_TCP
+from rsb_bridge.telemetry.meters import Smoothed
 from rsb_bridge.wire.framing import CONTENT_LIMIT, HISTORY, MESSAGE_LIMIT, ZSTD, Budget, Message
 
 if TYPE_CHECKING:
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
     from rsb_bridge.route.history_depth import Histories, Sample
     from rsb_bridge.route.ledger import RouteLedger
     from rsb_bridge.route.loop_filter import LoopFilter
-    from rsb_bridge.route.topic_route import TopicRoute
+    from rsb_bridge.route.topic_flow import AgreedEnd, TopicFlow
     from rsb_bridge.transport.transport import Transport
     from rsb_bridge.wire.messages import Propose
 
@@ -238,9 +239,10 @@ class Outbox:
         leaving: asked of messages right before the channel gets them.
     """
 
-    def __init__(self, route: TopicRoute[SendingChannel], ledger: RouteLedger, backlog: Backlog) -> None:
+    def __init__(self, flow: TopicFlow, end: AgreedEnd, ledger: RouteLedger, backlog: Backlog) -> None:
         self.leaving: Sieve[Message] | None = None
-        self._route = route
+        self._flow, self._end, self._carried = flow, end, flow.carried
+        self._route = route = flow.route
         self._automatic = route.proposal.qos is None
         self._ledger = ledger
         self._backlog = backlog
@@ -280,7 +282,7 @@ class Outbox:
         self._limits = limits
         self._trim(now, publisher)
 
-    def back(self, now: float) -> None:
+    def resume(self, now: float) -> None:
         """Drop kept messages that have grown too old by `now` (s), also of silent publishers."""
         if self._keep is not None:
             for publisher in self._queue.publishers:
@@ -341,11 +343,11 @@ class Outbox:
         if not route.peer.linked:
             # All topics of a link that is away may wait for minutes, and share one limit.
             size = min(size, self._queue.room())
-        if route.arming.required and route.on_end not in ("", END_NONE):
+        if route.arming.required and self._end.of(self._carried.type_name) not in ("", END_NONE):
             # It is a state: after a stall, a robot would follow all the old ones before the present one.
             return QueueLimits(1, 0.0, size)
         self._overload.judge(now, self._queue.oldest_since, len(self._queue), channel.still(now))
-        qos, profile = route.qos, route.peer.profile
+        qos, profile = self._flow.qos, route.peer.profile
         if self._keep is not None:
             number = 0 if qos is None or qos.history == "keep_all" else max(depth, qos.depth or AUTO_DEPTH)
             return QueueLimits(number, self._keep.seconds, self._queue.room())
@@ -378,6 +380,46 @@ class Outbox:
         return fitting
 
 
+# Of what a topic wants to send.
+_PER_MESSAGE = 60  # bytes on the wire besides a message's content: header, seal, and a part of the packets' headers
+_SIZE_FADES = 0.8  # part of the earlier messages that counts a second later for the average size: of about five
+
+
+class TrafficMeter:
+    """Measures what one sending half wants to send.
+
+    Attributes:
+        offered: messages that the topic wanted to send since the last look, within its own rate limit.
+        messages: packed lately; older ones count less.
+        bytes: of these.
+    """
+
+    def __init__(self, now: float) -> None:
+        self.offered = 0
+        self.messages = self.bytes = 0.0
+        self._size = 0.0
+        self._wanted = Smoothed(now)
+
+    @property
+    def still(self) -> bool:
+        """Whether nothing was offered lately."""
+        return not (self.offered or self._wanted.rate)
+
+    def rested(self, until: float) -> None:
+        """Take over that nothing was offered until `until` (s)."""
+        self._wanted.add(0.0, until)
+
+    def measure(self, now: float) -> float:
+        """Return the bytes/s that the topic has wanted to send since the last call. Called once a second."""
+        if self.messages:
+            self._size = _PER_MESSAGE + self.bytes / self.messages
+        self._wanted.add(self.offered, now)
+        self.messages *= _SIZE_FADES
+        self.bytes *= _SIZE_FADES
+        self.offered = 0
+        return self._wanted.rate * self._size
+
+
 class OutgoingPath:
     """The path of one route's messages from ROS to its channel, in the order of its methods.
 
@@ -387,22 +429,25 @@ class OutgoingPath:
         loop_filter: of the route; numbers the source of each publisher's messages.
 
     Attributes:
+        traffic: the messages that the topic wants to send.
         histories: of a latched topic's publishers in the present opening, or None for a volatile topic.
         gates: all that are on.
     """
 
     def __init__(
-        self, route: TopicRoute[SendingChannel], ledger: RouteLedger, loop_filter: LoopFilter, backlog: Backlog
+        self, flow: TopicFlow, end: AgreedEnd, ledger: RouteLedger, loop_filter: LoopFilter, backlog: Backlog
     ) -> None:
         self.histories: Histories | None = None
+        self._flow, self._carried = flow, flow.carried
+        self._route = route = flow.route
         self._context = context = route.context
-        self._route = route
         self._ledger = ledger
         self._loop_filter = loop_filter
+        self.traffic = TrafficMeter(context.now())
         self._throttle = Throttle(route.limit.rate)
         self._latest_later = LatestLater(context.loop, self._throttle, self._send_latched, route.pausing)
         self._last_later = LastLater(context.loop, self._throttle, self._pass_last)
-        self._outbox = Outbox(route, ledger, backlog)
+        self._outbox = Outbox(flow, end, ledger, backlog)
         self._compressor = zstandard.ZstdCompressor(_ZSTD_LEVEL) if route.proposal.compression == "zstd" else None
         compose_when_switched(route, self.compose)
 
@@ -414,7 +459,7 @@ class OutgoingPath:
             self._throttle.limit(rate)
         self._route.weight = route_weight(self._route.proposal, armed=self._route.arming.required)
         self.gates = gates = sending_gates(
-            self._route, self._ledger, self._throttle, self._last_later, self._loop_filter, self._outbox.fitting
+            self._flow, self._ledger, self._throttle, self._last_later, self._loop_filter, self._outbox.fitting
         )
         self._batch = chained(gates.batch)
         self._arriving = sifting(*gates.arriving)
@@ -457,8 +502,7 @@ class OutgoingPath:
             return
         if not batch:
             return
-        route = self._route
-        if route.peek_slot.wanted:
+        if self._flow.peek_slot.wanted:
             self._show(batch)
         self._ledger.offered += len(batch)
         if self._sourced is not None:
@@ -479,7 +523,7 @@ class OutgoingPath:
         if not batch:
             return
         route = self._route
-        route.traffic.offered += len(batch)
+        self.traffic.offered += len(batch)
         sources, arming = self._loop_filter.table.flags, route.arming
         # Asked once for the batch: nearly all topics are plain, and their messages save two calls.
         plain = self._compressor is None and not arming.required
@@ -498,14 +542,14 @@ class OutgoingPath:
         self._send(messages, size, publisher)
 
     def _show(self, messages: Sequence[RawMessage]) -> None:
-        slot, newest = self._route.peek_slot, messages[-1]
+        slot, newest = self._flow.peek_slot, messages[-1]
         if slot.tap is not None:
             now = self._context.wall_ns()
             for payload, _, gid, number, _, source in messages:
                 slot.tap(payload, now, source or now, gid, number)
         if slot.is_awaited:
             time_ns = newest.stamp - self._context.stamps.shift
-            slot.put(peeked(self._route, newest.payload, time_ns), self._context.now())
+            slot.put(peeked(self._flow, newest.payload, time_ns), self._context.now())
 
     def _compressed(self, message: Message) -> Message:
         """Return a message as it is sent: compressed if both sides agreed on that and it gets smaller.
@@ -523,11 +567,11 @@ class OutgoingPath:
 
     def emit(self, samples: Sequence[Sample]) -> None:
         """Take messages of a latched topic whose histories are known by now: they just came, or waited for these."""
-        if self._route.peek_slot.wanted and samples:
+        if self._flow.peek_slot.wanted and samples:
             self._show([each.message for each in samples])
         admitted, left_out = self._latest_later.admit(samples)
         self._ledger.throttled += left_out
-        self._route.traffic.offered += len(admitted)
+        self.traffic.offered += len(admitted)
         self._send_latched(admitted)
 
     def _send_latched(self, samples: Sequence[Sample]) -> None:
@@ -552,15 +596,15 @@ class OutgoingPath:
             messages: as they are sent, oldest first.
             depth: of a latched topic, messages that the publisher keeps.
         """
-        route, traffic, outbox = self._route, self._route.traffic, self._outbox
-        channel = route.channel
+        route, traffic, outbox = self._route, self.traffic, self._outbox
+        channel = self._carried.channel
         if channel is None or not channel.ready or not route.life.accepted:
             self._ledger.drop("link lost", len(messages))
             return
         if not messages:
             return
         now = self._context.now()
-        route.count(len(messages), size, now)
+        self._flow.count(len(messages), size, now)
         if size > outbox.largest:  # else each one fits
             fitting = self._packed(messages)
             # They ask nothing of the link. If they counted, a late topic would make it seem full.
@@ -577,16 +621,16 @@ class OutgoingPath:
         self.flush()
 
     def flush(self) -> None:
-        if (channel := self._route.channel) is not None:
+        if (channel := self._carried.channel) is not None:
             self._outbox.flush(channel, self._context.now())
 
     # --- switches
 
-    def back(self) -> None:
-        """Go on, as the link is back."""
-        self._outbox.back(self._context.now())
-
     def resume(self) -> None:
+        """Go on, as the link is back."""
+        self._outbox.resume(self._context.now())
+
+    def unpause(self) -> None:
         """Send the latched messages that have become due while the route was paused."""
         self._latest_later.resume()
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import msgspec
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.ros.ros_interface import Publisher, TopicSpec
     from rsb_bridge.route.message_check import Look, Unpacker
-    from rsb_bridge.route.topic_route import TopicRoute
+    from rsb_bridge.route.route import Route
     from rsb_bridge.wire.framing import Budget
     from rsb_bridge.wire.records import Source
 
@@ -277,7 +277,7 @@ class _Announced:
 class _SourcePublisher:
     """The publishers of one source."""
 
-    def __init__(self, route: TopicRoute[Any], unpacker: Unpacker, spec: TopicSpec, origin: Origin) -> None:
+    def __init__(self, route: Route, unpacker: Unpacker, spec: TopicSpec, origin: Origin) -> None:
         self._route = route
         self._context = context = route.context
         self._spec = spec
@@ -353,7 +353,7 @@ class SourcePublishers:
         sinks: get the messages; in the same order.
     """
 
-    def __init__(self, route: TopicRoute[Any], unpacker: Unpacker) -> None:
+    def __init__(self, route: Route, unpacker: Unpacker) -> None:
         self._route = route
         self._unpacker = unpacker
         self._budget = route.peer.budget

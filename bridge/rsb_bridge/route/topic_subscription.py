@@ -24,13 +24,12 @@ if TYPE_CHECKING:
     import asyncio
     from collections.abc import Callable, Mapping, Sequence
 
-    from rsb_bridge.channel.scheduler import SendingChannel
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.ros.ros_interface import OnFailure, RawMessage, Subscription, TopicSpec
     from rsb_bridge.route.history_depth import Bounds
     from rsb_bridge.route.loop_filter import LoopFilter
+    from rsb_bridge.route.route import Route
     from rsb_bridge.route.sending import OutgoingPath
-    from rsb_bridge.route.topic_route import TopicRoute
 
 
 # Round figures.
@@ -57,7 +56,7 @@ class TopicSubscription:
 
     def __init__(
         self,
-        route: TopicRoute[SendingChannel],
+        route: Route,
         path: OutgoingPath,
         loop_filter: LoopFilter,
         found: Callable[[], None],
@@ -262,7 +261,7 @@ class _Liveliness:
 
     def __init__(
         self,
-        route: TopicRoute[SendingChannel],
+        route: Route,
         spec: TopicSpec,
         first: LastingSubscription,
         loop_filter: LoopFilter,

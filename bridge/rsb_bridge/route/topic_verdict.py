@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar
 
 from rsb_bridge.model.audience import Audience, Deaf
 from rsb_bridge.model.qos import clashes
@@ -11,26 +11,22 @@ from rsb_bridge.model.text import join_first, sanitize_text
 from rsb_bridge.model.verdict import LASTING, Cause, Verdict
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.route.age import expired_verdict
-from rsb_bridge.route.blocking_rules import ACCEPTED, JudgedRoute, first_missing
+from rsb_bridge.route.blocking_rules import ACCEPTED, JudgedHalf, first_missing
 from rsb_bridge.route.combined_verdict import NODE_LENGTH, NODES, node_names
 from rsb_bridge.route.lateness import late_verdict
 from rsb_bridge.telemetry.watches import FAST_ABOVE, LATELY
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Sequence
+    from collections.abc import Callable, Collection, Iterable
 
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.snapshot import Stage
     from rsb_bridge.ros.ros_interface import Endpoint
-    from rsb_bridge.route.age import MessageAge
     from rsb_bridge.route.blocking_rules import Rules
     from rsb_bridge.route.catching_up import Backlog
-    from rsb_bridge.route.combined_verdict import CombinedVerdict
     from rsb_bridge.route.crossing import Crossing
     from rsb_bridge.route.health import Health
     from rsb_bridge.route.lateness import Late
-    from rsb_bridge.telemetry.meters import RateMeter
-    from rsb_bridge.wire.records import SentReport
 
 USE_TCP = "use protocol: tcp"
 """The remedy for messages that are lost on the way."""
@@ -77,13 +73,11 @@ _LOSSES: dict[str, tuple[Cause, str]] = {
 LOSS_CAUSES = frozenset({Cause.LOSSY, *(cause for cause, _ in _LOSSES.values())})
 
 
-class JudgedTopic(JudgedRoute, Protocol):
+class JudgedTopic(JudgedHalf, Protocol):
     """One half of a topic's route, as its rules read it."""
 
-    type_name: str
-    endpoints: Sequence[Endpoint]
-    age: MessageAge
-    judged: CombinedVerdict
+    flow: Any
+    carried: Any
 
     def stages(self) -> tuple[Stage, ...]: ...
 
@@ -91,17 +85,15 @@ class JudgedTopic(JudgedRoute, Protocol):
 
     def late(self) -> Late | None: ...
 
-    @property
-    def unmatched(self) -> bool: ...
-
 
 class SendingTopic(JudgedTopic, Protocol):
     """The sending half of a topic's route."""
 
-    qos: Qos | None
-    meter: RateMeter
     health: Health
     backlog: Backlog
+
+    @property
+    def unmatched(self) -> bool: ...
 
     @property
     def subscribe_failed(self) -> str: ...
@@ -120,8 +112,6 @@ class SendingTopic(JudgedTopic, Protocol):
     @property
     def loss_unexplained(self) -> bool: ...
 
-    def was_full_since(self, since: float) -> bool: ...
-
     @property
     def malformed(self) -> str: ...
 
@@ -133,11 +123,8 @@ class SendingTopic(JudgedTopic, Protocol):
 class ReceivingTopic(JudgedTopic, Protocol):
     """The receiving half of a topic's route."""
 
-    offered: Qos | None
-    audience: Audience
-    others: Collection[Endpoint]
-    clocks: frozenset[str]
-    report_now: SentReport | None
+    listeners: Any
+    report_now: Any
 
 
 TopicT = TypeVar("TopicT", bound=JudgedTopic)
@@ -240,7 +227,7 @@ def types_and_nodes(endpoints: Iterable[Endpoint]) -> str:
 
 
 def _expired(half: JudgedTopic, crossing: Crossing) -> Verdict | None:
-    expired = half.age.late() if crossing.flows else None
+    expired = half.route.age.late() if crossing.flows else None
     return None if expired is None else expired_verdict(expired)
 
 
@@ -258,10 +245,12 @@ def _subscription(half: SendingTopic, _: Crossing) -> Verdict | None:
 
 
 def _publishers_qos(half: SendingTopic, _: Crossing) -> Verdict | None:
-    qos = half.qos
-    if qos is None or not half.life.described:
+    qos = half.flow.qos
+    if qos is None or not half.route.life.described:
         return None
-    others = [each for each in half.endpoints if each.type_name == half.type_name and clashes(each.qos, qos)]
+    others = [
+        each for each in half.carried.endpoints if each.type_name == half.carried.type_name and clashes(each.qos, qos)
+    ]
     if not others:
         return None
     offer, asked = zip(*clashes(others[0].qos, qos), strict=True)
@@ -271,17 +260,17 @@ def _publishers_qos(half: SendingTopic, _: Crossing) -> Verdict | None:
         f"{whose} messages are not received; set qos: auto for this topic"
     )
     # If some publishers are heard, the topic is not down.
-    all_of_them = len(others) == sum(each.type_name == half.type_name for each in half.endpoints)
+    all_of_them = len(others) == sum(each.type_name == half.carried.type_name for each in half.carried.endpoints)
     return Verdict(State.DOWN if all_of_them else State.UNHEARD, Cause.QOS_INCOMPATIBLE, text)
 
 
 def _publishers_types(half: SendingTopic, _: Crossing) -> Verdict | None:
-    left_out = half.notices.warning
+    left_out = half.route.notices.warning
     return Verdict(State.UNHEARD, Cause.TYPE_CONFLICT, left_out) if left_out else None
 
 
 def _unresolved(half: SendingTopic, crossing: Crossing) -> Verdict | None:
-    if crossing.flows or not half.life.accepted or (cause := half.unresolved) is None:
+    if crossing.flows or not half.route.life.accepted or (cause := half.unresolved) is None:
         return None
     if cause is Cause.NO_PUBLISHER:
         cause = _nobody(half)
@@ -293,23 +282,23 @@ def _lossy(half: SendingTopic, crossing: Crossing) -> Verdict | None:
     loss = half.health.losses.loss
     if loss is None:
         return None
-    expired = half.age.late() if crossing.flows else None
+    expired = half.route.age.late() if crossing.flows else None
     if expired is not None and expired.lost > loss.lost:
         return None  # most of what did not come was too old, which `_expired` tells
     cause, why = _LOSSES.get(loss.cause, (Cause.LOSSY, f"lost on the way{_remedy_for_loss(half)}"))
     if loss.cause == "malformed" and half.malformed:
         why = f"they are malformed ({half.malformed}): see what publishes them"
-    full = half.link_full
+    full = half.route.link_full
     # The cause stays that of the ledger: a full link loses datagrams on the way, where this side has no queue.
     if full is not None and cause in (Cause.LOSSY, Cause.QUEUE_FULL):
         why = f"the link is full ({full.share}): set max_rate, compression: zstd or priority"
-    elif cause is Cause.LOSSY and half.was_full_since(loss.since):
+    elif cause is Cause.LOSSY and half.flow.was_full_since(loss.since):
         why = "the link was full"
     elif cause is Cause.TOO_LARGE:
         why += f": {half.remedy_for_size()}"
     # The figures still contain the losses before the recovery.
     if loss.recovering:
-        if half.judged.shown_cause not in LOSS_CAUSES:
+        if half.route.judged.shown_cause not in LOSS_CAUSES:
             return None  # a fault that nobody was shown needs no end
         return Verdict(State.SLOW, cause, f"recovering after {LASTING}: most messages arrive again", loss.since)
     if loss.lost >= loss.of:
@@ -323,7 +312,7 @@ def _remedy_for_loss(half: SendingTopic) -> str:
     """Return what to do about lost datagrams, or nothing while the link may be full: then both remedies do harm."""
     datagrams = half.datagrams()
     # TCP would lose more of what has to be armed, since late messages are dropped.
-    if half.loss_unexplained or (half.arming.required and datagrams == 1):
+    if half.loss_unexplained or (half.route.arming.required and datagrams == 1):
         return ""
     if datagrams > 1:
         return f"; each takes {datagrams} datagrams, and is lost if one of them is: {USE_TCP} or smaller messages"
@@ -332,11 +321,11 @@ def _remedy_for_loss(half: SendingTopic) -> str:
 
 def _too_large(half: SendingTopic, crossing: Crossing) -> Verdict | None:
     """Judge what `_lossy` cannot: the newest message of a latched topic, or one before any was sent."""
-    undelivered = half.notices.undelivered
+    undelivered = half.route.notices.undelivered
     if not undelivered or not crossing.flows:
         return None
     some = half.has_sent
-    if some and not (half.qos is not None and half.qos.latched):
+    if some and not (half.flow.qos is not None and half.flow.qos.latched):
         return None
     return Verdict(State.SLOW if some else State.DOWN, Cause.TOO_LARGE, undelivered)
 
@@ -360,12 +349,12 @@ def _stopped(half: SendingTopic, _: Crossing) -> Verdict | None:
 def _why_silent(half: SendingTopic) -> tuple[Cause, str]:
     """Explain the silence. DDS lists a publisher for up to 40 s after its death, so it may not run any more."""
     ever = half.came or half.came_before
-    if half.endpoints and half.unmatched:
-        return Cause.PUBLISHER_SILENT, _plural(half.endpoints, *NOT_MATCHED)
-    if half.endpoints:
+    if half.carried.endpoints and half.unmatched:
+        return Cause.PUBLISHER_SILENT, _plural(half.carried.endpoints, *NOT_MATCHED)
+    if half.carried.endpoints:
         # A publisher that has just come has had no time for its first message.
-        stopped = [each for each in half.endpoints if each.gid not in half.health.stop.new] if ever else []
-        who, silent = (stopped, STOPPED_PUBLISHING) if stopped else (half.endpoints, PUBLISHED_NOTHING)
+        stopped = [each for each in half.carried.endpoints if each.gid not in half.health.stop.new] if ever else []
+        who, silent = (stopped, STOPPED_PUBLISHING) if stopped else (half.carried.endpoints, PUBLISHED_NOTHING)
         return Cause.PUBLISHER_SILENT, _plural(who, *silent)
     return Cause.PUBLISHER_GONE if ever else _nobody(half), _no_publisher(half, gone=ever)
 
@@ -375,24 +364,24 @@ def _nobody(half: SendingTopic) -> Cause:
 
 
 def _no_publisher(half: SendingTopic, *, gone: bool = False) -> str:
-    return no_publisher(half.local_topic, half.context.domain_id, half.similar, gone=gone)
+    return no_publisher(half.route.local_topic, half.route.context.domain_id, half.similar, gone=gone)
 
 
 def _slow(half: SendingTopic, _: Crossing) -> Verdict | None:
     since, expected = half.health.slow.since, half.health.expected_rate
     if since is None or expected is None:
         return None
-    rate = half.meter.rate
+    rate = half.route.meter.rate
     rates = f"{_steady_figure(rate)} Hz of {expected:.3g} expected"
     if rate >= FAST_ABOVE * expected:  # the watch waits before it ends the fault
-        if half.judged.shown_cause != Cause.SLOW:
+        if half.route.judged.shown_cause != Cause.SLOW:
             return None  # a fault that nobody was shown needs no end
         return Verdict(State.SLOW, Cause.SLOW, f"recovering after {LASTING}: {rates}", since)
     lost_in_dds = half.health.lost_in_dds()
     if lost_in_dds > (expected - rate) * LATELY / 2:  # DDS lost most of the missing messages
         reason = f"DDS lost {lost_in_dds:,} messages before they could be taken"
     else:
-        reason = f"that is all that {_plural(half.endpoints, 'publishes', 'publish')}"
+        reason = f"that is all that {_plural(half.carried.endpoints, 'publishes', 'publish')}"
     return Verdict(State.SLOW, Cause.SLOW, f"{rates}, for {LASTING}: {reason}", since)
 
 
@@ -411,15 +400,17 @@ def _unsent(half: SendingTopic, crossing: Crossing) -> Verdict | None:
     if not crossing.flows:
         return _no_message(first_missing(half.stages()))
     if half.came:
-        return None if half.endpoints else Verdict(State.OK, Cause.PUBLISHER_GONE, _no_publisher(half, gone=True))
-    if not half.endpoints:
+        return (
+            None if half.carried.endpoints else Verdict(State.OK, Cause.PUBLISHER_GONE, _no_publisher(half, gone=True))
+        )
+    if not half.carried.endpoints:
         return Verdict(State.WAITING, _nobody(half), _no_publisher(half))
     verbs = NOTHING_SINCE_OPENED if half.came_before else PUBLISHED_NOTHING
-    if half.qos and not half.qos.latched and all(each.qos.latched for each in half.endpoints):
+    if half.flow.qos and not half.flow.qos.latched and all(each.qos.latched for each in half.carried.endpoints):
         verbs = LEFT_OUT_LATCHED  # they may well have published, before the subscription
     elif half.unmatched:
         verbs = NOT_MATCHED
-    return Verdict(State.WAITING, Cause.PUBLISHER_SILENT, _plural(half.endpoints, *verbs))
+    return Verdict(State.WAITING, Cause.PUBLISHER_SILENT, _plural(half.carried.endpoints, *verbs))
 
 
 def _no_message(missing: str = "") -> Verdict:
@@ -445,17 +436,19 @@ def waits_for(half: ReceivingTopic) -> str:
     stages = half.stages()
     if half.report_now is None and all(each.done is not False for each in stages):
         # Only the sending side knows the first stages, and has not reported on this opening yet.
-        return "the other side's report" if half.life.accepted else ACCEPTED
+        return "the other side's report" if half.route.life.accepted else ACCEPTED
     return first_missing(stages)
 
 
 def _subscribers(half: ReceivingTopic, _: Crossing) -> Verdict | None:
-    qos = half.offered
-    if qos is None or not (half.life.described and half.type_name):
+    qos = half.listeners.offered
+    if qos is None or not (half.route.life.described and half.carried.type_name):
         return None
-    deaf = {each: why for each in half.endpoints if (why := mismatch(half.type_name, qos, each)) is not None}
+    deaf = {
+        each: why for each in half.carried.endpoints if (why := mismatch(half.carried.type_name, qos, each)) is not None
+    }
     if others := [each for each, why in deaf.items() if why.cause is Cause.TYPE_CONFLICT]:
-        carries = f"{half.local_topic} carries {half.type_name}"
+        carries = f"{half.route.local_topic} carries {half.carried.type_name}"
         text = f"{types_and_nodes(others)}, but {carries}: correct the subscription"
         return Verdict(State.UNHEARD, Cause.TYPE_CONFLICT, text)
     if deaf:
@@ -463,23 +456,27 @@ def _subscribers(half: ReceivingTopic, _: Crossing) -> Verdict | None:
         alike = [each for each, why in deaf.items() if why == first]
         who = _plural(alike, "asks", "ask", "subscriptions")
         text = (
-            f"{who} for {', '.join(first.asked)}, but {half.local_topic} is published with "
+            f"{who} for {', '.join(first.asked)}, but {half.route.local_topic} is published with "
             f"{', '.join(first.offered)}{_hears_instead(half, qos, alike)}: "
             "change the QoS of the subscription, or of the publishers and this topic"
         )
         return Verdict(State.UNHEARD, Cause.QOS_INCOMPATIBLE, text)
-    if half.unmatched and half.came:
-        return Verdict(State.UNHEARD, Cause.NO_SUBSCRIBER, _plural(half.endpoints, *NOT_MATCHED, "subscriptions"))
-    if not half.endpoints and not half.audience.count and half.came:
-        return Verdict(State.UNHEARD, Cause.NO_SUBSCRIBER, no_subscriber(half.local_topic, half.context.domain_id))
+    if half.listeners.unmatched and half.came:
+        return Verdict(
+            State.UNHEARD, Cause.NO_SUBSCRIBER, _plural(half.carried.endpoints, *NOT_MATCHED, "subscriptions")
+        )
+    if not half.carried.endpoints and not half.flow.audience.count and half.came:
+        return Verdict(
+            State.UNHEARD, Cause.NO_SUBSCRIBER, no_subscriber(half.route.local_topic, half.route.context.domain_id)
+        )
     return None
 
 
 def _clocks(half: ReceivingTopic, _: Crossing) -> Verdict | None:
-    if not half.clocks:
+    if not half.listeners.clocks:
         return None
     text = (
-        f"{half.local_topic} also comes from {named(half.clocks)}, so its time jumps back and forth: "
+        f"{half.route.local_topic} also comes from {named(half.listeners.clocks)}, so its time jumps back and forth: "
         "keep one source, or set use_name on the server"
     )
     return Verdict(State.UNHEARD, Cause.SEVERAL_CLOCKS, text)
@@ -488,8 +485,8 @@ def _clocks(half: ReceivingTopic, _: Crossing) -> Verdict | None:
 def _hears_instead(half: ReceivingTopic, offered: Qos, deaf: Collection[Endpoint]) -> str:
     """Return what subscribers that do not match hear of other publishers, and who hears this topic, as a clause."""
     nodes = {each.node for each in deaf}
-    others = {p.node for p in half.others if any(not clashes(p.qos, each.qos) for each in deaf)}
-    hearing = {each.node for each in half.endpoints if not clashes(offered, each.qos)} - nodes
+    others = {p.node for p in half.listeners.others if any(not clashes(p.qos, each.qos) for each in deaf)}
+    hearing = {each.node for each in half.carried.endpoints if not clashes(offered, each.qos)} - nodes
     clause = f", so that {'it hears' if len(nodes) == 1 else 'they hear'} only {named(others)}" if others else ""
     if hearing:
         clause += f", while {named(hearing)} {'hears' if len(hearing) == 1 else 'hear'} this topic"

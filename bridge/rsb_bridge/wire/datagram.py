@@ -183,8 +183,8 @@ class DatagramWriter:
         self._route = route
         self.overhead = _HEADER_SIZE + sealer.suite.tag_length
 
-    def go_on(self, sealer: Sealer, link_id: bytes) -> None:
-        """Seal with the keys of the session's next connection. The messages' numbers go on."""
+    def resume(self, sealer: Sealer, link_id: bytes) -> None:
+        """Seal with the keys of the association's next connection. The messages' numbers continue."""
         self._sealer, self._link_id = sealer, link_id
 
     @property
@@ -390,8 +390,8 @@ class DatagramReader:
             self._handed_on = number
         return message
 
-    def go_on(self, opener: DatagramOpener) -> None:
-        """Open with the keys of the session's next connection; what is incomplete is discarded."""
+    def resume(self, opener: DatagramOpener) -> None:
+        """Open with the keys of the association's next connection; what is incomplete is discarded."""
         DatagramReader.close(self)
         self._opener = opener
         self.opened = 0

@@ -175,8 +175,8 @@ class DataWriter:
         self._route = route
         self._overhead = _LENGTH_SIZE + _HEADER_SIZE + sealer.suite.tag_length  # bytes of a frame besides its content
 
-    def go_on(self, sealer: Sealer) -> None:
-        """Seal with the keys of the session's next connection."""
+    def resume(self, sealer: Sealer) -> None:
+        """Seal with the keys of the association's next connection."""
         self._sealer = sealer
 
     def write_many(self, messages: Sequence[tuple[Buffer, int, int]]) -> bytes:
@@ -218,7 +218,7 @@ class DataWriter:
         return pack_frame(header, self._sealer.seal(b"", header))
 
     def write_resumed(self, again: int = 0) -> bytes:
-        """Return the frame with which the route goes on on a stream in place of a lost one.
+        """Return the frame with which the route resumes on a stream in place of a lost one.
 
         Args:
             again: messages, the last that were sealed, which are sealed again next.
@@ -253,8 +253,8 @@ class Assembly:
         self._size = 0
         self._expected = 0
 
-    def go_on(self, opener: StreamOpener) -> None:
-        """Discard what is incomplete, and use another opener."""
+    def resume(self, opener: StreamOpener) -> None:
+        """Discard what is incomplete, and open with the keys of the association's next connection."""
         self.close()
         self._open_into = opener.open_into
 
@@ -327,10 +327,10 @@ class DataReader:
         self._open = opener.open
         self._chunks = Assembly(opener, limit, budget or Budget(UNFINISHED_LIMIT))
 
-    def go_on(self, opener: StreamOpener) -> None:
-        """Open with the keys of the session's next connection; what is incomplete is discarded."""
+    def resume(self, opener: StreamOpener) -> None:
+        """Open with the keys of the association's next connection; what is incomplete is discarded."""
         self._opener, self._open = opener, opener.open
-        self._chunks.go_on(opener)
+        self._chunks.resume(opener)
 
     def open_frames(self, frames: Iterable[Buffer]) -> list[Message]:
         """Open whole data frames.
@@ -375,7 +375,7 @@ class DataReader:
         self._open(frame[_HEADER_SIZE:], frame[:_HEADER_SIZE])
 
     def open_resumed(self, frame: Buffer) -> None:
-        """Open the frame with which the route goes on on a stream in place of a lost one.
+        """Open the frame with which the route resumes on a stream in place of a lost one.
 
         What has come already is not returned again; what the peer does not send again is counted as lost.
 

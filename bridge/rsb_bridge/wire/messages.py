@@ -64,7 +64,7 @@ class Hello(ControlMessageBase, frozen=True):
     domain_id: Count
     host: Name = ""  # its machine's host name, for operators, or empty if unknown
     features: FeatureNames = ()  # the names of its features (`rsb_bridge.feature`); only what both sides have is used
-    session: SessionId = b""  # that it goes on with, or empty for a new one
+    session: SessionId = b""  # that it resumes, or empty for a new one
     handled: Count = 0  # control messages of that session that it has handled
     outlive: Seconds = 0.0  # s that its side of a session outlives a connection, or 0 if it does not
 
@@ -83,7 +83,7 @@ class Welcome(ControlMessageBase, frozen=True):
     """Text on the operator who has shut the link down, or empty. The client confirms, and is refused."""
     at: Name = ""  # its address in a Zenoh network, or empty. A client that reached it at another address was misled
     features: FeatureNames = ()  # as in `Hello`
-    session: SessionId = b""  # the client's, if this side goes on with it, too
+    session: SessionId = b""  # the client's, if this side resumes it, too
     handled: Count = 0  # as in `Hello`
     outlive: Seconds = 0.0  # as in `Hello`
 

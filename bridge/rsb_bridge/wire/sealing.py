@@ -312,14 +312,14 @@ class SessionKeys:
         }
         self._data: dict[tuple[int, Role], bytes | None] = {}
         self._attach = _expand(export, b"rsb attach")
-        self._resumed = _expand(export, b"rsb resumed")
+        self._of_resumed = _expand(export, b"rsb resumed")
         self._derive(PROBE_ROUTE, export)
 
-    def resume(self, routes: Iterable[int]) -> None:
-        """Derive the keys of routes that were proposed on an earlier connection of the session. Call it once."""
+    def resumed(self, routes: Iterable[int]) -> None:
+        """Derive the keys of the routes that resume on this connection of their association. Call it once."""
         for route in routes:
-            self._derive(route, self._resumed)
-        del self._resumed  # so that an attacker in this process cannot derive these keys again
+            self._derive(route, self._of_resumed)
+        del self._of_resumed  # so that an attacker in this process cannot derive these keys again
 
     def proposed(self, route: int, proposer: Role) -> None:
         """Derive the keys of a route when its proposal is sent or received, in the order of the control stream."""

@@ -33,10 +33,9 @@ from rsb_bridge.ros.ros_interface import Endpoint, RosError, TopicSpec
 from rsb_bridge.route.arming import without_history
 from rsb_bridge.route.crossing import Crossing
 from rsb_bridge.route.gates import why_not_by_hand
-from rsb_bridge.route.incoming import IncomingRoute
-from rsb_bridge.route.outgoing import OutgoingRoute
 from rsb_bridge.route.peeking import PeekError
-from rsb_bridge.route.topic_route import TopicRoute
+from rsb_bridge.route.receiver import Receiver
+from rsb_bridge.route.sender import Sender
 from rsb_bridge.route.topic_verdict import audience, mismatch
 from rsb_bridge.wire.messages import ByHand
 from rsb_extras.driving.publish_requests import Draft, DraftMessage, Publish, Published
@@ -44,7 +43,6 @@ from rsb_extras.driving.publish_requests import Draft, DraftMessage, Publish, Pu
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
 
-    from rsb_bridge.channel.channel import DataChannel
     from rsb_bridge.engine.bridge import Bridge
     from rsb_bridge.model.snapshot import Snapshot
     from rsb_bridge.ros.ros_interface import Publisher
@@ -113,7 +111,7 @@ class _Rest(NamedTuple):
 
     timer: asyncio.TimerHandle
     payload: bytes
-    openings: tuple[tuple[TopicRoute[DataChannel], int], ...]
+    openings: tuple[tuple[Sender | Receiver, int], ...]
 
 
 class _Publication:
@@ -231,7 +229,7 @@ class Publishing(MovingPart):
         if armed and not 0 <= self._ticket() - command.ticket <= TICKET_LIFE * 1e3:
             return Published(is_done=False, ticket=self._ticket(), type_name=resolved.type_name)
         payload, rest = self._within_limits(command, resolved.type_name, routes, (payload, rest))
-        rests = [route.rest for route in armed if isinstance(route, IncomingRoute)]
+        rests = [half.rest for half in armed if isinstance(half, Receiver)]
         # First: a motion that no rest can follow must not begin.
         for each in rests:
             each.prepare(resolved)
@@ -242,11 +240,11 @@ class Publishing(MovingPart):
             # Else the timer of the command before ends the motion that goes on.
             publication.take_rest()
             timer = context.loop.call_later(command.rest_after, self._rest, publication, topic)
-            publication.rest = _Rest(timer, rest, tuple((route, route.id) for route in armed))
+            publication.rest = _Rest(timer, rest, tuple((route, route.route.id) for route in armed))
         gid = publication.publisher.gid
-        taking = [route for route in _outgoing(routes) if route.crossing.flows and route.takes(gid)]
+        taking = [route for route in _outgoing(routes) if route.route.crossing.flows and route.takes(gid)]
         self._record(publication, topic, command.fields, taking)
-        links = tuple(sorted({route.peer.name for route in taking}))
+        links = tuple(sorted({route.route.peer.name for route in taking}))
         count = publication.publisher.subscriber_count
         heard = audience(resolved.type_name, resolved.qos, publication.subscriptions, count)
         return Published(True, self._ticket(), resolved.type_name, heard, links)
@@ -256,8 +254,10 @@ class Publishing(MovingPart):
         rest, now = publication.take_rest(), self._context.now()
         if rest is None or publication.publisher is None or publication.resolved is None:
             return
-        armed = [(route, opening) for route, opening in rest.openings if route.arming.crossing(now) is Crossing.YES]
-        if armed and all(route.id != opening for route, opening in armed):
+        armed = [
+            (route, opening) for route, opening in rest.openings if route.route.arming.crossing(now) is Crossing.YES
+        ]
+        if armed and all(route.route.id != opening for route, opening in armed):
             return  # somebody else has armed it since, and may be driving
         try:
             # It was made with the message before, and a robot may drop old ones.
@@ -282,8 +282,8 @@ class Publishing(MovingPart):
     # --- safety
 
     def _check_armed(
-        self, topic: str, type_name: str, routes: Sequence[TopicRoute[DataChannel]], *, driven: bool
-    ) -> list[TopicRoute[DataChannel]]:
+        self, topic: str, type_name: str, routes: Sequence[Sender | Receiver], *, driven: bool
+    ) -> list[Sender | Receiver]:
         """Return the routes that are armed, or an empty list if the topic needs no arming.
 
         Args:
@@ -294,20 +294,20 @@ class Publishing(MovingPart):
         """
         now = self._context.now()
         demand = self._context.demands.of("topic", topic, type_name)
-        requiring = [route for route in routes if route.arming.required]
-        refusals = [why_not_by_hand(route, now) for route in requiring]
+        requiring = [route for route in routes if route.route.arming.required]
+        refusals = [why_not_by_hand(route.route, now) for route in requiring]
         armed = [route for route, why in zip(requiring, refusals, strict=True) if why is None]
         if not armed and requiring:
             # To arm it would not help: it is armed.
             if Refused.UNHEARD in refusals:
                 raise LinkError(PublishProblem.NOT_HEARD(topic=topic))
-            _, reason = requiring[0].arming.why_at(now)
+            _, reason = requiring[0].route.arming.why_at(now)
             raise LinkError(PublishProblem.NOT_ARMED(topic=topic, reason=f" ({reason})"))
         if armed and not self._bridge.may_move(topic):
             raise LinkError(PublishProblem.ENDING(topic=topic))
         for route in armed:
-            if not route.arming.is_held_by(console(), account()):
-                raise LinkError(PublishProblem.ANOTHER_DRIVES(topic=topic, who=route.arming.by))
+            if not route.route.arming.is_held_by(console(), account()):
+                raise LinkError(PublishProblem.ANOTHER_DRIVES(topic=topic, who=route.route.arming.by))
         if not armed and demand is not None and demand.arm:
             raise LinkError(PublishProblem.NO_ROUTE_TO_ARM(topic=topic))
         if driven and not (armed and all(_stops_by_itself(route) for route in routes)):
@@ -318,7 +318,7 @@ class Publishing(MovingPart):
         self,
         command: Publish,
         type_name: str,
-        routes: Iterable[TopicRoute[DataChannel]],
+        routes: Iterable[Sender | Receiver],
         payloads: tuple[bytes, bytes],
     ) -> tuple[bytes, bytes]:
         """Return a command's message and rest within the limits that the sessions of all sides set on a hand.
@@ -328,7 +328,7 @@ class Publishing(MovingPart):
         """
         topic = command.topic
         demand = self._context.demands.of("topic", topic, type_name) or NO_DEMAND
-        found = [(route.arming.limits, route.arming.limited_by) for route in routes]
+        found = [(route.route.arming.limits, route.route.arming.limited_by) for route in routes]
         found.append((demand.limits, tuple(map(self._context.demands.origin, demand.limited_by))))
         limits = smallest_limits(each for each, _ in found)
         if limits is None:
@@ -351,9 +351,11 @@ class Publishing(MovingPart):
 
     # --- types
 
-    def _routes(self, topic: str) -> list[TopicRoute[DataChannel]]:
+    def _routes(self, topic: str) -> list[Sender | Receiver]:
         routes = [route for link in self._bridge.role.links() for route in link.routes.values()]
-        return [route for route in routes if isinstance(route, TopicRoute) and route.local_topic == topic]
+        return [
+            route.half for route in routes if isinstance(route.half, Sender | Receiver) and route.local_topic == topic
+        ]
 
     async def _resolve(self, topic: str, wanted: str) -> TopicSpec:
         """Return a topic as it is to be published.
@@ -370,17 +372,21 @@ class Publishing(MovingPart):
         known: dict[str, set[str]] = {}
         for name, type_hash in [
             *((each.type_name, each.type_hash) for each in (*publishers, *subscriptions)),
-            *(route.present_type for route in routes),
+            *(route.facts.present_type for route in routes),
         ]:
             if name:
                 known.setdefault(name, set()).add(type_hash)
         if not known:
-            known = {expand_type_name(route.spec.type): set() for route in routes if route.spec.type != "auto"}
+            known = {
+                expand_type_name(route.route.spec.type): set() for route in routes if route.route.spec.type != "auto"
+            }
         name = expand_type_name(wanted) if wanted else ""
         if not known and not name:
             known = await self._types_there(routes)
             # Of what nobody has any more, the type that it had.
-            known = known or {route.type_name: {route.type_hash} for route in routes if route.type_name}
+            known = known or {
+                route.carried.type_name: {route.carried.type_hash} for route in routes if route.carried.type_name
+            }
         if not name and len(known) > 1:
             raise LinkError(PublishProblem.TYPES_DIFFER(topic=topic, types=", ".join(sorted(known))))
         name = name or next(iter(known), "")
@@ -395,14 +401,14 @@ class Publishing(MovingPart):
             raise LinkError(PublishProblem.OTHER_VERSION(type_name=name, topic=topic))
         return TopicSpec(topic, name, type_hash, self._qos(topic, name, publishers, subscriptions, routes))
 
-    async def _types_there(self, routes: Sequence[TopicRoute[DataChannel]]) -> dict[str, set[str]]:
+    async def _types_there(self, routes: Sequence[Sender | Receiver]) -> dict[str, set[str]]:
         """Return the types that the other sides of routes know for their topics: of a robot's motors, for example."""
         types: dict[str, set[str]] = {}
         for route in routes:
             # A side that does not answer hides none of the others.
             with contextlib.suppress(LinkError):
-                for info in await topics_of_peer(self._bridge.role.links(), route.peer.name):
-                    if info.topic == route.far_topic and info.kind == "topic" and info.type_name:
+                for info in await topics_of_peer(self._bridge.role.links(), route.route.peer.name):
+                    if info.topic == route.route.far_topic and info.kind == "topic" and info.type_name:
                         types[info.type_name] = set()
         return types
 
@@ -412,11 +418,13 @@ class Publishing(MovingPart):
         type_name: str,
         publishers: Sequence[Endpoint],
         subscriptions: Sequence[Endpoint],
-        routes: Sequence[TopicRoute[DataChannel]],
+        routes: Sequence[Sender | Receiver],
     ) -> Qos:
         """Return the QoS of the other publishers, so that routes see no change, or what subscriptions ask for."""
         offered = [each.qos for each in publishers if each.type_name == type_name]
-        offered += [route.qos for route in routes if route.qos is not None and route.type_name == type_name]
+        offered += [
+            route.flow.qos for route in routes if route.flow.qos is not None and route.carried.type_name == type_name
+        ]
         if offered:
             qos = match_publishers(offered)
         else:
@@ -425,7 +433,7 @@ class Publishing(MovingPart):
         # Subscriptions of either reliability hear a reliable publisher.
         qos = msgspec.structs.replace(qos, reliability="reliable", depth=1 if qos.latched else _DEPTH)
         demand = self._context.demands.of("topic", topic, type_name)
-        is_armed = any(route.arming.required for route in routes) or (demand is not None and demand.arm)
+        is_armed = any(route.route.arming.required for route in routes) or (demand is not None and demand.arm)
         return without_history(qos) if is_armed else qos
 
     async def _serialize(self, resolved: TopicSpec, fields: str) -> bytes:
@@ -445,12 +453,14 @@ class Publishing(MovingPart):
     async def _passing(self, resolved: TopicSpec) -> bytes | None:
         """Return a message that passes soon, or None."""
         routes, type_hash = self._routes(resolved.topic), resolved.type_hash
-        route = next((route for route in routes if route.crossing.flows and route.type_hash == type_hash), None)
+        route = next(
+            (route for route in routes if route.route.crossing.flows and route.carried.type_hash == type_hash), None
+        )
         if route is None:
             return None
         try:
             async with asyncio.timeout(_LAST_WITHIN):
-                peeked = await self._bridge.peeking.peek(route, kept=True)
+                peeked = await self._bridge.peeking.peek(route.flow, kept=True)
         except (TimeoutError, PeekError):
             return None
         return peeked.payload if peeked is not None and len(peeked.payload) == peeked.size else None
@@ -493,14 +503,14 @@ class Publishing(MovingPart):
                 return
             await asyncio.sleep(_LOOK_EVERY)
 
-    def _awaited(self, topic: str, gid: bytes) -> list[OutgoingRoute]:
+    def _awaited(self, topic: str, gid: bytes) -> list[Sender]:
         """Return the routes that may take the messages of a new publisher soon."""
         return [
             route
             for route in _outgoing(self._routes(topic))
-            if route.peer.linked
-            and not route.life.refusal  # one whose proposal is not answered yet takes the first message, too
-            and not route.crossing.is_held_back
+            if route.route.peer.linked
+            and not route.route.life.refusal  # one whose proposal is not answered yet takes the first message, too
+            and not route.route.crossing.is_held_back
             and not route.takes(gid)
         ]
 
@@ -515,7 +525,7 @@ class Publishing(MovingPart):
 
     # --- records
 
-    def _record(self, publication: _Publication, topic: str, fields: str, taking: Sequence[OutgoingRoute]) -> None:
+    def _record(self, publication: _Publication, topic: str, fields: str, taking: Sequence[Sender]) -> None:
         """Record the first message of an operator, here and on the other side."""
         now, who = self._context.now(), acting_operator()
         publication.count += 1
@@ -526,7 +536,7 @@ class Publishing(MovingPart):
         line = sanitize_text(" ".join(fields.split()))
         self._bridge.log.add(EventCode.OPERATOR_PUBLISHED, "published", topic=topic, new=line)
         for route in taking:
-            route.peer.send(ByHand(route=route.id, lane=0, request=line, who=who))
+            route.route.peer.send(ByHand(route=route.route.id, lane=0, request=line, who=who))
 
     def tick(self, snapshot: Snapshot) -> None:
         """Close publishers that are not used any more."""
@@ -551,15 +561,15 @@ class Publishing(MovingPart):
         self._publications.clear()
 
 
-def _outgoing(routes: Iterable[TopicRoute[DataChannel]]) -> list[OutgoingRoute]:
-    return [route for route in routes if isinstance(route, OutgoingRoute)]
+def _outgoing(routes: Iterable[Sender | Receiver]) -> list[Sender]:
+    return [half for half in routes if isinstance(half, Sender)]
 
 
-def _stops_by_itself(route: TopicRoute[DataChannel]) -> bool:
+def _stops_by_itself(route: Sender | Receiver) -> bool:
     """Whether a robot at the other end of a route is not driven by old messages, or not at all."""
-    if route.arming.required:
-        return route.age.max_age > 0
-    return not (isinstance(route, OutgoingRoute) and route.crossing.flows)
+    if route.route.arming.required:
+        return route.route.age.max_age > 0
+    return not (isinstance(route, Sender) and route.route.crossing.flows)
 
 
 def _fields_of(description: str, payload: bytes) -> str:

@@ -10,7 +10,8 @@ from rsb_bridge.engine.part import EnginePart
 from rsb_bridge.link.extension import LinkError, check_names
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.ros.ros_interface import RosError, TopicSpec
-from rsb_bridge.route.topic_route import TopicRoute
+from rsb_bridge.route.receiver import Receiver
+from rsb_bridge.route.sender import Sender
 from rsb_bridge.tasks import Tasks
 from rsb_extras.pictures.link_views import LinkViews
 from rsb_extras.pictures.look_requests import EndLook, LookAtTopics
@@ -217,10 +218,12 @@ class Viewing(EnginePart):
         """Return a topic that a link brings to this side, or None."""
         for link in self._links():
             for route in link.routes.values():
-                if not isinstance(route, TopicRoute) or route.outgoing or route.local_topic != topic:
+                if not isinstance(route.half, Sender | Receiver) or route.outgoing or route.local_topic != topic:
                     continue
-                if route.crossing.flows and route.type_hash and route.qos is not None:
-                    return TopicSpec(topic, route.type_name, route.type_hash, route.qos)
+                if route.crossing.flows and route.half.carried.type_hash and route.half.flow.qos is not None:
+                    return TopicSpec(
+                        topic, route.half.carried.type_name, route.half.carried.type_hash, route.half.flow.qos
+                    )
         return None
 
     def tick(self, snapshot: Snapshot) -> None:

@@ -22,7 +22,8 @@ from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.ros.ros_interface import TopicSpec
-from rsb_bridge.route.topic_route import TopicRoute
+from rsb_bridge.route.receiver import Receiver
+from rsb_bridge.route.sender import Sender
 from rsb_extras.recording import RECORD, record_limits
 from rsb_extras.recording.keep_last import TOPICS_NAMED, KeepLast, KeptRecording
 from rsb_extras.recording.mcap_file import McapError, RecordedTopic, new_recording
@@ -128,8 +129,8 @@ class Keeping(EnginePart):
         self._context.tap_of = lambda topic, source: None if ring is None else self._tap_of(topic, source, ring)
         for link in self._bridge.role.links():
             for route in link.routes.values():
-                if isinstance(route, TopicRoute):
-                    route.renew_tap()
+                if isinstance(route.half, Sender | Receiver):
+                    route.half.flow.renew_tap()
 
     def _tap_of(self, name: str, source: Any, ring: MessageRing) -> Tap:
         now, is_own = self._context.now, self._context.announcements.is_own

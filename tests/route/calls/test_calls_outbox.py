@@ -9,7 +9,7 @@ import pytest
 import zstandard
 
 from rsb_bridge.model.calls import FEEDBACK, LANES, SEND_GOAL, STATUS
-from rsb_bridge.route.calls.calls_route import CallsOutbox
+from rsb_bridge.route.calls.call_frames import CallsOutbox
 from rsb_bridge.transport.registry import default_transports
 from rsb_bridge.wire.framing import ZSTD
 from rsb_bridge.wire.headers import CallFrame, What, unpack_call
@@ -25,6 +25,7 @@ class FakeChannel:
     """Takes everything."""
 
     batch_bytes = 1 << 16
+    ready = True
     congested = False
 
     def __init__(self) -> None:
@@ -45,27 +46,26 @@ def ended() -> set[int]:
 
 
 @pytest.fixture
-def outbox(ended: set[int]) -> CallsOutbox:
-    return make(ended)
+def outbox(ended: set[int]) -> Queue:
+    return Queue(ended)
 
 
-def make(ended: set[int], **proposed: Any) -> CallsOutbox:
-    proposal = Propose(route=1, topic="/go", remote_topic="/go", from_client=True, kind="action", **proposed)
-    transport = default_transports()["tcp"]
-    route: Any = SimpleNamespace(
-        transport=transport,
-        proposal=proposal,
-        members=LANES["action"],
-        leaves=lambda frame: frame.call not in ended,
-        context=SimpleNamespace(clock=SimpleNamespace(time_ns=lambda: 7), stamps=SimpleNamespace(shift=0)),
-    )
-    return CallsOutbox(route)
+class Queue(CallsOutbox):
+    """The outbox of an action, with a channel when the test wants it to have one."""
 
+    def __init__(self, ended: set[int], **proposed: Any) -> None:
+        proposal = Propose(route=1, topic="/go", remote_topic="/go", from_client=True, kind="action", **proposed)
+        context = SimpleNamespace(clock=SimpleNamespace(time_ns=lambda: 7), stamps=SimpleNamespace(shift=0))
+        route = SimpleNamespace(transport=default_transports()["tcp"], proposal=proposal, context=context)
+        self._carried = SimpleNamespace(channel=None)
+        flow: Any = SimpleNamespace(route=route, members=LANES["action"], carried=self._carried)
+        super().__init__(flow, lambda frame: frame.call not in ended)
 
-def flushed(outbox: CallsOutbox) -> FakeChannel:
-    channel = FakeChannel()
-    outbox.flush(channel)  # type: ignore[arg-type]
-    return channel
+    def flushed(self) -> FakeChannel:
+        """Flush it into a new channel."""
+        self._carried.channel = channel = FakeChannel()
+        self.flush()
+        return channel
 
 
 def call(number: int) -> CallFrame:
@@ -76,82 +76,81 @@ def message(lane: int, content: bytes) -> CallFrame:
     return CallFrame(What.MESSAGE, lane, 0, 0, content)
 
 
-def test_frames_leave_in_order_without_finished_calls(outbox: CallsOutbox, ended: set[int]) -> None:
+def test_frames_leave_in_order_without_finished_calls(outbox: Queue, ended: set[int]) -> None:
     frames = [call(1), message(FEEDBACK, b"one"), call(2), call(3), CallFrame(What.REFUSED, SEND_GOAL, 9, 0, b"paused")]
     for frame in frames:
         outbox.put(frame)
     ended.add(2)
-    assert flushed(outbox).frames() == [frames[0], frames[1], frames[3], frames[4]]
+    assert outbox.flushed().frames() == [frames[0], frames[1], frames[3], frames[4]]
 
 
-def test_finished_calls_are_not_sent(outbox: CallsOutbox, ended: set[int]) -> None:
+def test_finished_calls_are_not_sent(outbox: Queue, ended: set[int]) -> None:
     outbox.put(call(1))
     ended.add(1)
-    assert not flushed(outbox).sent
+    assert not outbox.flushed().sent
 
 
-def test_nothing_waits_of_a_call_that_is_over(outbox: CallsOutbox) -> None:
+def test_nothing_waits_of_a_call_that_is_over(outbox: Queue) -> None:
     """A peer that reads nothing makes calls expire, which give back their places in the budget."""
     for number in range(1, 4):
         outbox.put(call(number))
         outbox.put(message(FEEDBACK, b"%d" % number))
     for number in (1, 3, 9):
         outbox.forget(number)
-    assert [each.content for each in flushed(outbox).frames()] == [b"1", b"request 2", b"2", b"3"]
+    assert [each.content for each in outbox.flushed().frames()] == [b"1", b"request 2", b"2", b"3"]
 
 
-def test_lane_keeps_its_depth_of_newest(outbox: CallsOutbox) -> None:
+def test_lane_keeps_its_depth_of_newest(outbox: Queue) -> None:
     for number in range(25):
         outbox.put(message(FEEDBACK, b"%d" % number))
         outbox.put(message(STATUS, b"status %d" % number))
-    contents = [frame.content for frame in flushed(outbox).frames()]
+    contents = [frame.content for frame in outbox.flushed().frames()]
     assert [each for each in contents if b"status" not in each] == [b"%d" % number for number in range(15, 25)]
     assert [each for each in contents if b"status" in each] == [b"status 24"]
 
 
-def test_link_that_stands_still_keeps_more_messages(outbox: CallsOutbox) -> None:
+def test_link_that_stands_still_keeps_more_messages(outbox: Queue) -> None:
     for number in range(25):
         outbox.put(message(FEEDBACK, b"%d" % number), still=1.0)
     for number in range(25, 30):
         outbox.put(message(FEEDBACK, b"%d" % number))
-    assert [each.content for each in flushed(outbox).frames()] == [b"%d" % number for number in range(5, 30)]
+    assert [each.content for each in outbox.flushed().frames()] == [b"%d" % number for number in range(5, 30)]
 
 
-def test_messages_that_wait_are_bounded_in_bytes(outbox: CallsOutbox) -> None:
+def test_messages_that_wait_are_bounded_in_bytes(outbox: Queue) -> None:
     for _ in range(10):
         outbox.put(message(FEEDBACK, bytes(12 << 20)))
-    assert len(flushed(outbox).sent) == 2
+    assert len(outbox.flushed().sent) == 2
 
 
-def test_large_message_displaces_as_much_as_it_needs(outbox: CallsOutbox) -> None:
+def test_large_message_displaces_as_much_as_it_needs(outbox: Queue) -> None:
     large = (32 << 20) - 10
     for size in (10, 10, 10, large):
         outbox.put(message(FEEDBACK, bytes(size)))
-    assert [len(each.content) for each in flushed(outbox).frames()] == [10, large]
+    assert [len(each.content) for each in outbox.flushed().frames()] == [10, large]
 
 
-def test_refusals_that_wait_are_bounded(outbox: CallsOutbox) -> None:
+def test_refusals_that_wait_are_bounded(outbox: Queue) -> None:
     for number in range(1, 8200):
         outbox.put(CallFrame(What.REFUSED, SEND_GOAL, number, 0, b"paused"))
-    assert [frame.call for frame in flushed(outbox).frames()] == [*range(1, 8193)]
+    assert [frame.call for frame in outbox.flushed().frames()] == [*range(1, 8193)]
     outbox.put(CallFrame(What.REFUSED, SEND_GOAL, 8200, 0, b"paused"))
-    assert flushed(outbox).frames()[-1].call == 8200
+    assert outbox.flushed().frames()[-1].call == 8200
 
 
-def test_a_new_opening_begins_with_nothing(outbox: CallsOutbox) -> None:
+def test_a_new_opening_begins_with_nothing(outbox: Queue) -> None:
     outbox.put(call(1))
     outbox.put(message(FEEDBACK, b"one"))
     outbox.clear()
-    assert not flushed(outbox).sent
+    assert not outbox.flushed().sent
 
 
 def test_contents_are_compressed_and_headers_are_not() -> None:
-    outbox, channel = make(set(), compression="zstd"), FakeChannel()
+    outbox = Queue(set(), compression="zstd")
     large = call(1)._replace(content=bytes(100_000))
     outbox.put(large)
     outbox.put(call(2))
-    outbox.flush(channel)  # type: ignore[arg-type]
-    (packed, _, flags), (plain, _, no_flags) = channel.sent
+    (packed, _, flags), (plain, _, no_flags) = outbox.flushed().sent
     assert (flags, no_flags) == (ZSTD, 0)
     frame = unpack_call(packed)
     assert frame._replace(content=zstandard.decompress(frame.content)) == large

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.route.calls.test_held import providing
 from tests.support.goals import cancel_request, cancel_response, goal, goal_response, statuses
-from tests.support.inside import clients_of, paced
+from tests.support.inside import paced
 
 from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL, STATUS
 from rsb_bridge.model.codes import EventCode
@@ -17,6 +17,7 @@ from rsb_bridge.model.session import ArmedName
 from rsb_bridge.ros.ros_interface import Response, RosError
 from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.calls.paced_client import PacedClient
+from rsb_bridge.route.calls.provider_goals import ProviderGoals
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from tests.support.virtual_time import VirtualLoop
 
     from rsb_bridge.context import Context
-    from rsb_bridge.route.calls.providing_action import ProvidingActionRoute
+    from rsb_bridge.route.calls.provider import Provider
 
 
 class Client:
@@ -49,74 +50,77 @@ class Client:
 
 
 @pytest.fixture
-def make_route(make_context: Callable[..., Context]) -> Callable[..., ProvidingActionRoute]:
+def make_half(make_context: Callable[..., Context]) -> Callable[..., Provider]:
     """Makes an armed action, whose server has goals 1 and 3 of this link, of which 3 is not answered, and another 2."""
 
-    def make(on_end: str | None = "cancel", there: str = "") -> ProvidingActionRoute:
+    def make(on_end: str | None = "cancel", there: str = "") -> Provider:
         context = make_context(armed=(ArmedName("/dock", on_end=on_end),))
-        route = providing(context, arm=True)
-        route.arming.own = context.demands.of("action", "/dock") or route.arming.own
-        route.arming.peer_on_end = there
+        half = providing(context, arm=True)
+        half.route.arming.own = context.demands.of("action", "/dock") or half.route.arming.own
+        half.route.arming.peer_on_end = there
         lanes = SEND_GOAL, CANCEL_GOAL, GET_RESULT
         for lane in lanes:
-            call_with(Client(), route, lane)
+            call_with(Client(), half, lane)
         for number in (1, 3):
-            route.goals.asked(goal(number))
-            route.undecided[number] = goal(number)
-        route.arming.arm_for_peer("anna", context.now())
-        accept(route, 1)
-        route.goals.message(STATUS, statuses((goal(1), "executing"), (goal(2), "executing")))
-        return route
+            goals_of(half).goals.asked(goal(number))
+            goals_of(half).undecided[number] = goal(number)
+        half.route.arming.arm_for_peer("anna", context.now())
+        accept(half, 1)
+        goals_of(half).goals.message(STATUS, statuses((goal(1), "executing"), (goal(2), "executing")))
+        return half
 
     return make
 
 
-def call_with(client: Client, route: ProvidingActionRoute, lane: int) -> None:
-    """Have a route call a service with this client from now on."""
-    service = SimpleNamespace(lane=lane, client=PacedClient(client, route.context.loop), close=lambda: None)
-    clients_of(route).services[lane] = service
+def goals_of(half: Provider) -> ProviderGoals:
+    assert isinstance(half.kind, ProviderGoals)
+    return half.kind
 
 
-def respond(route: ProvidingActionRoute, lane: int, payload: bytes, number: int) -> None:
-    route.responded(clients_of(route).services[lane], [Response(payload, number, 0)])
+def call_with(client: Client, half: Provider, lane: int) -> None:
+    """Have a half call a service with this client from now on."""
+    service: Any = SimpleNamespace(lane=lane, client=PacedClient(client, half.route.context.loop), close=lambda: None)
+    half.under_way.clients.services[lane] = service
 
 
-def accept(route: ProvidingActionRoute, number: int) -> None:
-    respond(route, SEND_GOAL, goal_response(True), number)
+def respond(half: Provider, lane: int, payload: bytes, number: int) -> None:
+    half.under_way.responded(half.under_way.clients.services[lane], [Response(payload, number, 0)])
 
 
-def client_of(route: ProvidingActionRoute) -> Client:
-    client: Client = paced(clients_of(route).services[CANCEL_GOAL].client)
+def accept(half: Provider, number: int) -> None:
+    respond(half, SEND_GOAL, goal_response(True), number)
+
+
+def client_of(half: Provider) -> Client:
+    client: Client = paced(half.under_way.clients.services[CANCEL_GOAL].client)
     return client
 
 
-def cancels(route: ProvidingActionRoute) -> list[bytes]:
-    return list(client_of(route).calls)
+def cancels(half: Provider) -> list[bytes]:
+    return list(client_of(half).calls)
 
 
-def test_end_of_arming_cancels_this_links_goals(make_route: Callable[..., ProvidingActionRoute]) -> None:
-    route = make_route()
-    assert not cancels(route)
-    route.disarm(Disarmed.DEADMAN)
-    assert set(cancels(route)) == {cancel_request(goal(1)), cancel_request(goal(3))}
-    late = route.calls.late
-    respond(route, CANCEL_GOAL, cancel_response(goal(1)), 1)
-    assert route.calls.late == late, "it is no answer to a call of the other side's"
+def test_end_of_arming_cancels_this_links_goals(make_half: Callable[..., Provider]) -> None:
+    half = make_half()
+    assert not cancels(half)
+    half.route.disarm(Disarmed.DEADMAN)
+    assert set(cancels(half)) == {cancel_request(goal(1)), cancel_request(goal(3))}
+    late = half.flow.calls.late
+    respond(half, CANCEL_GOAL, cancel_response(goal(1)), 1)
+    assert half.flow.calls.late == late, "it is no answer to a call of the other side's"
 
 
 @pytest.mark.parametrize("armed_again", [False, True])
-def test_goal_that_is_accepted_later_is_cancelled_then(
-    armed_again: bool, make_route: Callable[..., ProvidingActionRoute]
-) -> None:
+def test_goal_that_is_accepted_later_is_cancelled_then(armed_again: bool, make_half: Callable[..., Provider]) -> None:
     """Nor does it run by the arming of the next operator."""
-    route = make_route()
-    route.disarm(Disarmed.OPERATOR)
+    half = make_half()
+    half.route.disarm(Disarmed.OPERATOR)
     if armed_again:
-        route.arming.opened(required=True, deadman=0.0)
-        route.arming.arm_for_peer("bert", route.context.now())
-    before = len(cancels(route))
-    accept(route, 3)
-    assert cancels(route)[before:] == [cancel_request(goal(3))]
+        half.route.arming.opened(required=True, deadman=0.0)
+        half.route.arming.arm_for_peer("bert", half.route.context.now())
+    before = len(cancels(half))
+    accept(half, 3)
+    assert cancels(half)[before:] == [cancel_request(goal(3))]
 
 
 @pytest.mark.parametrize(
@@ -131,12 +135,12 @@ def test_goal_that_is_accepted_later_is_cancelled_then(
     ],
 )
 def test_the_more_careful_session_counts(
-    on_end: str | None, there: str, cancelled: int, make_route: Callable[..., ProvidingActionRoute]
+    on_end: str | None, there: str, cancelled: int, make_half: Callable[..., Provider]
 ) -> None:
-    route = make_route(on_end, there)
-    assert route.on_end == ("cancel" if cancelled else "none")
-    route.disarm(Disarmed.LINK_LOST)
-    assert len(cancels(route)) == cancelled
+    half = make_half(on_end, there)
+    assert half.facts.on_end == ("cancel" if cancelled else "none")
+    half.route.disarm(Disarmed.LINK_LOST)
+    assert len(cancels(half)) == cancelled
 
 
 def test_line_of_kind_is_for_fitting_goals() -> None:
@@ -147,8 +151,8 @@ def test_line_of_kind_is_for_fitting_goals() -> None:
     }  # fmt: skip
 
 
-def reported(route: ProvidingActionRoute) -> int:
-    return sum(each.code == EventCode.ROUTE_CALL_FAILED for each in route.context.events.after(0))
+def reported(half: Provider) -> int:
+    return sum(each.code == EventCode.ROUTE_CALL_FAILED for each in half.route.context.events.after(0))
 
 
 @pytest.mark.parametrize(
@@ -166,53 +170,51 @@ def reported(route: ProvidingActionRoute) -> int:
     ],
 )
 def test_goal_that_is_not_cancelled_is_reported(
-    answer: bytes | None, goes_on: bool, make_route: Callable[..., ProvidingActionRoute], loop: VirtualLoop
+    answer: bytes | None, goes_on: bool, make_half: Callable[..., Provider], loop: VirtualLoop
 ) -> None:
-    route = make_route()
-    route.disarm(Disarmed.LINK_LOST)
-    for number, _ in enumerate(cancels(route), 1):
+    half = make_half()
+    half.route.disarm(Disarmed.LINK_LOST)
+    for number, _ in enumerate(cancels(half), 1):
         if answer is not None:
-            respond(route, CANCEL_GOAL, answer, number)
+            respond(half, CANCEL_GOAL, answer, number)
     for _ in range(10):
         loop.jump(1.0)
-        route.tick()
-    assert reported(route) == goes_on * len(cancels(route))
+        half.route.tick()
+    assert reported(half) == goes_on * len(cancels(half))
 
 
-def test_a_goal_that_cannot_be_cancelled_is_reported(make_route: Callable[..., ProvidingActionRoute]) -> None:
+def test_a_goal_that_cannot_be_cancelled_is_reported(make_half: Callable[..., Provider]) -> None:
     for gone in (True, False):
-        route = make_route()
+        half = make_half()
         if gone:
-            clients_of(route).close()
+            half.under_way.clients.close()
         else:
-            client_of(route).ready = False
-        route.disarm(Disarmed.LINK_LOST)
-        assert reported(route) == 2
+            client_of(half).ready = False
+        half.route.disarm(Disarmed.LINK_LOST)
+        assert reported(half) == 2
 
 
-def test_another_clients_answer_is_no_answer_to_cancel(make_route: Callable[..., ProvidingActionRoute]) -> None:
-    route = make_route()
-    route.disarm(Disarmed.LINK_LOST)
-    respond(route, CANCEL_GOAL, cancel_response(goal(1)), 1)
-    late = route.calls.late
-    respond(route, CANCEL_GOAL, cancel_response(goal(1)), 1)
-    call_with(Client(), route, CANCEL_GOAL)
-    respond(route, CANCEL_GOAL, cancel_response(goal(3)), 2)
-    assert route.calls.late == late + 2
+def test_another_clients_answer_is_no_answer_to_cancel(make_half: Callable[..., Provider]) -> None:
+    half = make_half()
+    half.route.disarm(Disarmed.LINK_LOST)
+    respond(half, CANCEL_GOAL, cancel_response(goal(1)), 1)
+    late = half.flow.calls.late
+    respond(half, CANCEL_GOAL, cancel_response(goal(1)), 1)
+    call_with(Client(), half, CANCEL_GOAL)
+    respond(half, CANCEL_GOAL, cancel_response(goal(3)), 2)
+    assert half.flow.calls.late == late + 2
 
 
-def test_fifty_goals_are_cancelled_without_overflow(
-    make_route: Callable[..., ProvidingActionRoute], loop: VirtualLoop
-) -> None:
+def test_fifty_goals_are_cancelled_without_overflow(make_half: Callable[..., Provider], loop: VirtualLoop) -> None:
     """Their node keeps ten cancels that it has not read."""
-    route = make_route()
+    half = make_half()
     for number in range(4, 52):
-        route.goals.asked(goal(number))
-    route.disarm(Disarmed.LINK_LOST)
+        goals_of(half).goals.asked(goal(number))
+    half.route.disarm(Disarmed.LINK_LOST)
     for number in range(1, 51):
-        assert len(cancels(route)) == min(7 + number, 50)
-        respond(route, CANCEL_GOAL, cancel_response(goal(number)), number)
+        assert len(cancels(half)) == min(7 + number, 50)
+        respond(half, CANCEL_GOAL, cancel_response(goal(number)), number)
     for _ in range(10):
         loop.jump(1.0)
-        route.tick()
-    assert not reported(route)
+        half.route.tick()
+    assert not reported(half)

@@ -7,7 +7,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.support.goals import (
     STATES,
-    cancel_request,
     goal,
     goal_request,
     goal_response,
@@ -20,7 +19,6 @@ from rsb_bridge.route.calls import goals
 ORDERS = pytest.mark.parametrize("order", "<>")
 READERS = (
     goals.goal_of,
-    goals.cancelled_by,
     goals.accepted_by,
     goals.state_of,
     goals.statuses_of,
@@ -32,14 +30,6 @@ IDS = st.binary(min_size=16, max_size=16)
 def test_the_goal_of_a_request(order: str) -> None:
     assert goals.goal_of(goal_request(goal(7), order, b"fields of the goal")) == goal(7)
     assert goals.goal_of(goal_request(goal(7), order)[:-1]) is None
-
-
-@ORDERS
-def test_what_a_cancel_is_about(order: str) -> None:
-    assert goals.cancelled_by(cancel_request(goal(7), order=order)) == goal(7)
-    assert goals.cancelled_by(cancel_request(goal(7), 1700000000, order=order)) is None
-    assert goals.cancelled_by(cancel_request(order=order)) is None
-    assert goals.cancelled_by(cancel_request(goal(7), order=order)[:-1]) is None
 
 
 @ORDERS
@@ -55,7 +45,7 @@ def test_answers(order: str) -> None:
 @given(known=st.dictionaries(IDS, st.sampled_from(sorted(STATES)), max_size=5))
 def test_statuses(order: str, known: dict[bytes, str]) -> None:
     message = statuses(*known.items(), order=order)
-    found = [(*each, (1700000000, 5)) for each in known.items()]
+    found = list(known.items())
     assert goals.statuses_of(message) == found
     padded = message + bytes(3)  # DDS pads payloads between processes
     assert goals.statuses_of(padded) == found
@@ -66,7 +56,7 @@ def test_statuses(order: str, known: dict[bytes, str]) -> None:
 def test_a_state_of_a_later_ros_is_unknown() -> None:
     message = bytearray(statuses((goal(1), "aborted")))
     message[-1] = 99
-    assert goals.statuses_of(bytes(message)) == [(goal(1), "unknown", (1700000000, 5))]
+    assert goals.statuses_of(bytes(message)) == [(goal(1), "unknown")]
 
 
 def test_a_count_is_not_believed() -> None:
@@ -85,14 +75,13 @@ def test_whatever_comes_is_read_or_not(payload: bytes) -> None:
 def test_as_rclpy_writes_them() -> None:
     pytest.importorskip("test_msgs", reason="no package with an action is installed (ros-jazzy-test-msgs)")
     from action_msgs.msg import GoalInfo, GoalStatus, GoalStatusArray
-    from action_msgs.srv import CancelGoal
-    from rclpy.serialization import deserialize_message, serialize_message
+    from rclpy.serialization import serialize_message
     from test_msgs.action import Fibonacci
     from unique_identifier_msgs.msg import UUID
 
     goal_id = UUID(uuid=list(goal(7)))
     info = GoalInfo(goal_id=goal_id)
-    info.stamp.sec, info.stamp.nanosec = stamp = -1, 4_000_000_000
+    info.stamp.sec, info.stamp.nanosec = -1, 4_000_000_000
     impl = Fibonacci.Impl
     for message in (
         impl.SendGoalService.Request(goal_id=goal_id),
@@ -100,11 +89,8 @@ def test_as_rclpy_writes_them() -> None:
         impl.FeedbackMessage(goal_id=goal_id),
     ):
         assert goals.goal_of(serialize_message(message)) == goal(7)
-    assert goals.cancelled_by(serialize_message(CancelGoal.Request(goal_info=GoalInfo(goal_id=goal_id)))) == goal(7)
     assert goals.accepted_by(serialize_message(impl.SendGoalService.Response(accepted=True))) is True
     assert goals.state_of(serialize_message(impl.GetResultService.Response(status=4))) == "succeeded"
     array = GoalStatusArray(status_list=[GoalStatus(goal_info=info, status=each) for each in (2, 6)])
-    found = [(goal(7), state, stamp) for state in ("executing", "aborted")]
+    found = [(goal(7), state) for state in ("executing", "aborted")]
     assert goals.statuses_of(serialize_message(array)) == found
-    accepts = impl.SendGoalService.Response(accepted=True, stamp=info.stamp)
-    assert deserialize_message(goals.acceptance_of(stamp), impl.SendGoalService.Response) == accepts

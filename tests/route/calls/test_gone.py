@@ -13,7 +13,7 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.ros_interface import Endpoint
 from rsb_bridge.ros.stand_in import NoRos
-from rsb_bridge.route.calls.providing import ProvidingRoute
+from rsb_bridge.route.calls.provider import Provider
 from rsb_bridge.wire.headers import CallFrame, What
 
 if TYPE_CHECKING:
@@ -45,64 +45,62 @@ class Graph(NoRos):
         return self.client
 
 
-def providing(ros: Graph, make_context: Callable[..., Context]) -> ProvidingRoute:
-    route = half_of(ProvidingRoute, make_context(ros), Topic("/set", "transmit", kind="service"), here=False)
-    route.open(1)
-    route.on_accepted()
-    return route
+def providing(ros: Graph, make_context: Callable[..., Context]) -> Provider:
+    half = half_of(Provider, make_context(ros), Topic("/set", "transmit", kind="service"), here=False)
+    half.route.open(1)
+    half.route.on_accepted()
+    return half
 
 
-def looks(route: ProvidingRoute) -> Cause | None:
+def looks(half: Provider) -> Cause | None:
     """Look at the graph again; return why nobody can be called, or None."""
-    route.advance()
-    trouble = route.unavailable()
+    half.route.advance()
+    trouble = half.facts.end.unavailable()
     return trouble.cause if trouble is not None else None
 
 
 def test_unknown_server_has_not_gone(make_context: Callable[..., Context]) -> None:
     """DDS may tell of its node a moment after its endpoints."""
     ros = Graph()
-    route = providing(ros, make_context)
+    half = providing(ros, make_context)
     causes = []
     for found in ([], [LAMP], [], [LAMP._replace(node="")], []):
         ros.found = found
-        causes.append(looks(route))
+        causes.append(looks(half))
     assert causes == [Cause.NO_SERVER, None, Cause.SERVER_GONE, Cause.NO_SERVER, Cause.SERVER_GONE]
-    peer: Any = route.peer
+    peer: Any = half.route.peer
     peer.connections += 1
-    assert looks(route) is Cause.NO_SERVER, "a new link knows of none before it"
-    route.close("over")
+    assert looks(half) is Cause.NO_SERVER, "a new link knows of none before it"
+    half.route.close("over")
 
 
 def test_call_may_have_reached_unseen_server(make_context: Callable[..., Context], loop: VirtualLoop) -> None:
     """DDS matches a server before the graph is looked at again; only later ones can't have got the call."""
     ros = Graph()
-    route = providing(ros, make_context)
+    half = providing(ros, make_context)
     in_flight = []
     for gid in (b"first", b"second", b"third"):
         ros.found = [LAMP._replace(gid=gid)]
-        looks(route)
+        looks(half)
         if gid == b"first":
             loop.run_until_complete(asyncio.sleep(1.0))  # its type is loaded
-            route.deliver([(CallFrame(What.CALL, 0, 1, 0, bytes(4)).pack(), 0, 0)])
-        in_flight.append(route.calls.in_flight)
+            half.deliver([(CallFrame(What.CALL, 0, 1, 0, bytes(4)).pack(), 0, 0)])
+        in_flight.append(half.flow.calls.in_flight)
     assert in_flight == [1, 1, 0]
-    route.close("over")
+    half.route.close("over")
 
 
 def test_unmatched_server_is_looked_at_ever_less(make_context: Callable[..., Context], loop: VirtualLoop) -> None:
     """DDS shows a killed server for up to 40 s."""
     ros = Graph()
     ros.found, ros.client.ready = [LAMP], False
-    route = providing(ros, make_context)
-    looks(route)
+    half = providing(ros, make_context)
+    looks(half)
     loop.run_until_complete(asyncio.sleep(40.0))
     assert 40 < ros.looks < 100
     ros.found = [LAMP, LAMP._replace(gid=b"next")]
-    looks(route)
+    looks(half)
     ros.client.ready = True
     loop.run_until_complete(asyncio.sleep(0.1))
-    sent = route._last_sent
-    assert sent is not None
-    assert sent.lanes, "and the next one soon again"
-    route.close("over")
+    assert half.under_way.entries, "and the next one soon again"
+    half.route.close("over")

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import pytest
 from tests.support.goals import cancel_request, goal, goal_request
-from tests.support.inside import provide, refusal_of
+from tests.support.inside import refusal_of
 from tests.support.offline import half_of
 
 from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL, Refused
@@ -15,18 +15,17 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.ros.ros_interface import Endpoint
 from rsb_bridge.ros.ros_thread import RosTurns
 from rsb_bridge.ros.stand_in import NoRos
-from rsb_bridge.route.calls.calling import CallerCall
-from rsb_bridge.route.calls.calling_action import CallingActionRoute
+from rsb_bridge.route.calls.asked_calls import CallerCall
+from rsb_bridge.route.calls.caller import Caller
+from rsb_bridge.route.calls.caller_goals import CallerGoals
 from rsb_bridge.route.calls.calls_ledger import REMEDIES
 from rsb_bridge.route.calls.goals import accepted_by
-from rsb_bridge.route.calls.kept_calls import KeptCall
 from rsb_bridge.route.calls.manual_call import CallError
-from rsb_bridge.route.calls.providing_action import ProvidingActionRoute
+from rsb_bridge.route.calls.provider import Provider
 from rsb_bridge.route.crossing import Crossing
 from rsb_bridge.route.gates import why_not_by_hand
 from rsb_bridge.route.lease import BEAT, LASTS, LeaseHalf
 from rsb_bridge.wire.headers import CallFrame, What
-from rsb_bridge.wire.messages import Provide
 from rsb_bridge.wire.records import LaneEntry
 
 if TYPE_CHECKING:
@@ -55,17 +54,17 @@ UNREADABLE = b"\0\x0b" + GOAL[2:]
 def test_only_what_could_begin_goal_is_held_up(
     lane: int, content: bytes, held: bool, how: str, why: Refused, make_context: Callable[..., Context]
 ) -> None:
-    route = providing(make_context(), **{how: True})
-    refusal = refusal_of(route, CallFrame(What.CALL, lane, 1, 0, content))
+    half = providing(make_context(), **{how: True})
+    refusal = refusal_of(half, CallFrame(What.CALL, lane, 1, 0, content))
     assert refusal is (why if held else Refused.PROVIDER_GONE)
 
 
 @pytest.mark.parametrize(("lane", "limited"), [(SEND_GOAL, True), (GET_RESULT, False)])
 def test_question_about_goal_is_within_no_limit(lane: int, limited: bool, make_context: Callable[..., Context]) -> None:
-    route = providing(make_context())
-    route.limit.allow_here(1.0)
-    provide(route, Provide(route=1, lanes=(LaneEntry("a/action/B_SendGoal", "h", 1),)))
-    refusals = {refusal_of(route, CallFrame(What.CALL, lane, n, 0, goal_request(goal(n)))) for n in range(1, 50)}
+    half = providing(make_context())
+    half.route.limit.allow_here(1.0)
+    half.under_way.entries = (LaneEntry("a/action/B_SendGoal", "h", 1),)
+    refusals = {refusal_of(half, CallFrame(What.CALL, lane, n, 0, goal_request(goal(n)))) for n in range(1, 50)}
     assert refusals == ({None, Refused.TOO_FAST} if limited else {None})
 
 
@@ -74,9 +73,9 @@ def test_unarmed_goal_is_never_sent_by_hand(
     paused: bool, make_context: Callable[..., Context], loop: VirtualLoop
 ) -> None:
     dock = Dock()
-    route = providing(make_context(dock), paused=paused, arm=True)
+    half = providing(make_context(dock), paused=paused, arm=True)
     with pytest.raises(CallError):
-        loop.run_until_complete(route.call_by_hand(SEND_GOAL, GOAL))
+        loop.run_until_complete(half.call_by_hand(SEND_GOAL, GOAL))
     assert not dock.clients
 
 
@@ -84,27 +83,24 @@ def test_unarmed_goal_is_never_sent_by_hand(
 def test_goal_that_may_have_begun_is_not_rejected(
     why: Refused, rejected: bool, make_context: Callable[..., Context]
 ) -> None:
-    context = make_context()
-    route, server = (
-        half_of(CallingActionRoute, context, Topic("/dock", "receive", kind="action"), here=False),
-        Answers(),
-    )
-    route.goals.asked(goal(1))
-    kept = KeptCall(SEND_GOAL, b"caller", GOAL, 0.0)
-    route._begin(CallerCall(SEND_GOAL, len(GOAL), 0.0, server, b"caller", kept), GOAL)
-    route.deliver([(CallFrame(What.REFUSED, SEND_GOAL, 1, 0, why.encode()).pack(), 0, 0)])
+    half, server = half_of(Caller, make_context(), Topic("/dock", "receive", kind="action"), here=False), Answers()
+    assert isinstance(half.kind, CallerGoals)
+    half.kind.goals.asked(goal(1))
+    half.under_way.pending.begin(CallerCall(SEND_GOAL, len(GOAL), 0.0, server, b"caller", GOAL), None)
+    half.deliver([(CallFrame(What.REFUSED, SEND_GOAL, 1, 0, why.encode()).pack(), 0, 0)])
     assert server.answered == ([b"caller"] if rejected else [])
-    assert [each.state for each in route.goals.snapshot(set())] == ["rejected" if rejected else "unknown"]
+    assert [each.state for each in half.kind.snapshot()] == ["rejected" if rejected else "unknown"]
 
 
 def test_old_goal_is_refused_whatever_delayed_it(make_context: Callable[..., Context], loop: VirtualLoop) -> None:
     context = make_context()
-    route = providing(context, arm=True)
+    half = providing(context, arm=True)
+    route = half.route
     lease = route.arming.lease = LeaseHalf(context.clock.steady, RosTurns(), lambda: None)
     lease.begin()
 
     def refusal(number: int) -> Refused | None:
-        return refusal_of(route, CallFrame(What.CALL, SEND_GOAL, 1, 0, GOAL, number))
+        return refusal_of(half, CallFrame(What.CALL, SEND_GOAL, 1, 0, GOAL, number))
 
     before, _ = lease.beat()
     lease.hear(1, 0)
@@ -125,7 +121,8 @@ def test_old_goal_is_refused_whatever_delayed_it(make_context: Callable[..., Con
 def test_silent_link_does_not_say_disarmed(make_context: Callable[..., Context], loop: VirtualLoop) -> None:
     """The caller got the advice to arm an armed action."""
     context = make_context()
-    route = providing(context, arm=True)
+    half = providing(context, arm=True)
+    route = half.route
     lease = route.arming.lease = LeaseHalf(context.clock.steady, RosTurns(), lambda: None)
     lease.begin()
     assert why_not_by_hand(route, context.now()) is Refused.DISARMED
@@ -140,9 +137,9 @@ def test_silent_link_does_not_say_disarmed(make_context: Callable[..., Context],
         lease.beat()  # nobody answers
     assert route.arming.crossing(context.now()) is Crossing.UNHEARD
     assert why_not_by_hand(route, context.now()) is Refused.UNHEARD
-    assert refusal_of(route, CallFrame(What.CALL, CANCEL_GOAL, 1, 0, UNREADABLE)) is Refused.PROVIDER_GONE
+    assert refusal_of(half, CallFrame(What.CALL, CANCEL_GOAL, 1, 0, UNREADABLE)) is Refused.PROVIDER_GONE
     with pytest.raises(CallError, match=REMEDIES[Refused.UNHEARD]):
-        loop.run_until_complete(route.call_by_hand(SEND_GOAL, GOAL))
+        loop.run_until_complete(half.call_by_hand(SEND_GOAL, GOAL))
 
 
 class Answers:
@@ -184,9 +181,9 @@ class Dock(NoRos):
         return self._client
 
 
-def providing(context: Context, **fields: Any) -> ProvidingActionRoute:
+def providing(context: Context, **fields: Any) -> Provider:
     """An action's half where its server is, in an opening of its own."""
     spec = Topic("/dock", "transmit", kind="action", **fields)
-    route = half_of(ProvidingActionRoute, context, spec, here=False)
-    route.arming.opened(required=spec.arm, deadman=0.0)
-    return route
+    half = half_of(Provider, context, spec, here=False)
+    half.route.arming.opened(required=spec.arm, deadman=0.0)
+    return half

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from tests.support.virtual_time import VirtualLoop
 
     from rsb_bridge.context import Context
-    from rsb_bridge.route.calls.providing import ProvidingRoute
+    from rsb_bridge.route.calls.provider import Provider
 
 
 class Lamp:
@@ -34,7 +34,8 @@ class Lamp:
         self._numbers = itertools.count(1)
         self._answered = 0
         ros.client = SimpleNamespace(ready=True, call=self._call, close=lambda: None)
-        self.route: ProvidingRoute = providing(ros, make_context)
+        self.half: Provider = providing(ros, make_context)
+        self.route = self.half.route
         self.route.advance()
         loop.run_until_complete(asyncio.sleep(1.0))  # its type is loaded
 
@@ -95,17 +96,17 @@ def test_waiting_call_that_expires_never_reaches_the_node(
     lamp.ask(1, 150)
     began = loop.time()
     since: list[float] = []
-    while lamp.route.calls.in_flight:
+    while lamp.half.flow.calls.in_flight:
         loop.run_until_complete(asyncio.sleep(0.4))
         since += [loop.time() - began] * (len(lamp.got) - len(since))
         lamp.answer()
         shown = lamp.route.snapshot().calls
         assert shown is not None
-        assert shown.waiting == 150 - lamp.route.calls.waited - len(lamp.got)
-        assert lamp.route.at_node()[0] == len(lamp.got)
+        assert shown.waiting == 150 - lamp.half.flow.calls.waited - len(lamp.got)
+        assert lamp.half.facts.end.at_node()[0] == len(lamp.got)
     assert 75 <= len(lamp.got) <= 84
     assert max(since) <= 30.4
-    assert lamp.route.calls.waited == 150 - len(lamp.got)
+    assert lamp.half.flow.calls.waited == 150 - len(lamp.got)
     lamp.route.close("over")
     assert_nothing_held(lamp.route)
 

@@ -53,9 +53,9 @@ def test_limit_counts_from_when_it_is_set_first(held: Held) -> None:
         held.calls.limit(number, 5.0)
     held.pass_time(3.0)
     held.calls.limit(1, 5.0)
-    held.calls.pause()
+    held.calls.suspend()
     held.pass_time(100.0)
-    held.calls.go_on()
+    held.calls.resume()
     held.pass_time(20.0)
     assert [(number, round(at, 3)) for number, at in held.expired] == [(1, 125.0), (2, 130.0)]
 

@@ -8,14 +8,13 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 from tests.support.goals import cancel_request, cancel_response, goal, goal_request, result_response
-from tests.support.inside import offers_of, pending_calls
 from tests.support.offline import half_of
 
 from rsb_bridge.model.calls import CANCEL_GOAL, FEEDBACK, GET_RESULT
 from rsb_bridge.model.session import Topic
-from rsb_bridge.route.calls.calling import CallerCall
-from rsb_bridge.route.calls.calling_action import CallingActionRoute
-from rsb_bridge.route.calls.providing_action import ProvidingActionRoute
+from rsb_bridge.route.calls.asked_calls import CallerCall
+from rsb_bridge.route.calls.caller import Caller
+from rsb_bridge.route.calls.provider import Provider
 from rsb_bridge.wire.headers import CallFrame, What
 
 if TYPE_CHECKING:
@@ -35,13 +34,13 @@ class Client:
     def __init__(self, make_context: Callable[..., Context], loop: VirtualLoop) -> None:
         self.got: list[tuple[float, int]] = []
         self.loop = loop
-        self.route = half_of(CallingActionRoute, make_context(), Topic("/dock", "receive", kind="action"), here=False)
+        self.half = half_of(Caller, make_context(), Topic("/dock", "receive", kind="action"), here=False)
         publisher: Any = SimpleNamespace(publish=lambda content: self.got.append((loop.time(), content[-1])))
-        offers_of(self.route).topics[FEEDBACK] = publisher
+        self.half.offer.lanes.topics[FEEDBACK] = publisher
 
     def asks(self, lane: int = CANCEL_GOAL) -> None:
         server: Any = SimpleNamespace(answer=lambda *_: self.got.append((self.loop.time(), -1)))
-        pending_calls(self.route).begin(CallerCall(lane, 1, 0.0, server, b"caller"), None)
+        self.half.under_way.pending.begin(CallerCall(lane, 1, 0.0, server, b"caller"), None)
 
     def times(self) -> list[float]:
         return [at for at, _ in self.got]
@@ -56,8 +55,8 @@ def test_feedback_that_comes_at_once_is_kept_apart(make_context: Callable[..., C
     client = Client(make_context, loop)
     client.asks()
     answer = CallFrame(What.ANSWER, CANCEL_GOAL, 1, 0, cancel_response(goal(1))).pack(), 0, 0
-    client.route.deliver([*(feedback(number, 1000 + 150 * number) for number in range(50)), answer])
-    client.route.deliver([feedback(50, 1000 + 150 * 50)])
+    client.half.deliver([*(feedback(number, 1000 + 150 * number) for number in range(50)), answer])
+    client.half.deliver([feedback(50, 1000 + 150 * 50)])
     loop.run_until_complete(asyncio.sleep(5.0))
     assert [number for _, number in client.got] == [*range(50), -1, 50], "later frames wait, too"
     times = client.times()
@@ -70,7 +69,7 @@ def test_result_keeps_its_distance_from_feedback(make_context: Callable[..., Con
     client = Client(make_context, loop)
     client.asks(GET_RESULT)
     result = CallFrame(What.ANSWER, GET_RESULT, 1, 0, result_response("succeeded")).pack(), 1280 * _MS, 0
-    client.route.deliver([*(feedback(number, 1000 + 100 * number) for number in range(3)), result])
+    client.half.deliver([*(feedback(number, 1000 + 100 * number) for number in range(3)), result])
     loop.run_until_complete(asyncio.sleep(1.0))
     *_, (fed, number), (answered, last) = client.got
     assert (number, last) == (2, -1)
@@ -79,14 +78,14 @@ def test_result_keeps_its_distance_from_feedback(make_context: Callable[..., Con
 
 def test_requests_for_results_hold_up_no_cancel(make_context: Callable[..., Context]) -> None:
     """After a gap they come at once, and a cancel may stop a robot."""
-    route = half_of(ProvidingActionRoute, make_context(), Topic("/dock", "receive", kind="action"))
+    half = half_of(Provider, make_context(), Topic("/dock", "receive", kind="action"))
     requests = [
         (CallFrame(What.CALL, GET_RESULT, number, 0, goal_request(goal(number))).pack(), number * 100 * _MS, 0)
         for number in range(1, 11)
     ]
     cancel = CallFrame(What.CALL, CANCEL_GOAL, 11, 0, cancel_request(goal(1))).pack(), 1100 * _MS, 0
-    route.deliver([*requests, cancel])
-    assert route.calls.asked == 11
+    half.deliver([*requests, cancel])
+    assert half.flow.calls.asked == 11
 
 
 def test_feedback_in_time_is_not_delayed(make_context: Callable[..., Context], loop: VirtualLoop) -> None:
@@ -94,7 +93,7 @@ def test_feedback_in_time_is_not_delayed(make_context: Callable[..., Context], l
     client = Client(make_context, loop)
     for number in range(0, 100, 2):
         began = loop.time()
-        client.route.deliver([feedback(number, 1000 + number), feedback(number + 1, 1000 + number + 1)])
+        client.half.deliver([feedback(number, 1000 + number), feedback(number + 1, 1000 + number + 1)])
         loop.run_until_complete(asyncio.sleep(0.002))
         assert len(client.got) == number + 2
         assert client.times()[-1] - began < 0.001

@@ -4,17 +4,25 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 from functools import partial
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 from rsb_bridge.cdr.description import TypeVersion
 from rsb_bridge.ros.ros_interface import RosError, TopicSpec
+from rsb_bridge.route.calls.ros_retry import RosRetry
 from rsb_bridge.route.peer import TypeUse
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Sequence
 
-    from rsb_bridge.route.calls.calls_route import CallsRoute
+    from rsb_bridge.route.calls.calls_flow import CallsFlow
     from rsb_bridge.wire.records import LaneEntry
+
+
+class LanesOwner(Protocol):
+    """An owner of open lanes, which takes what comes from ROS."""
+
+    def failed(self, error: RosError) -> None:
+        """Close all lanes, as ROS refuses one, or one has failed and closed itself."""
 
 
 class OpenLane:
@@ -25,25 +33,25 @@ class OpenLane:
         version: the type of its service or topic.
     """
 
-    _route: CallsRoute
+    _owner: Any
 
-    def __init__(self, route: CallsRoute, lane: int, version: TypeVersion) -> None:
+    def __init__(self, flow: CallsFlow, owner: LanesOwner, lane: int, version: TypeVersion) -> None:
         """Open it.
 
         Raises:
             RosError: ROS refuses it, or the link's topics have too many types.
         """
-        context = route.context
+        self._route = route = flow.route
         self.lane = lane
         self.version = version
-        self._route = route
-        self._member = route.members[lane]
+        self._owner = owner
+        self._member = flow.members[lane]
         self._name = self._member.name_on(route.local_topic)
         self._is_open = True
         # A partial, as each function between here and the queue would be called with each batch.
-        self._put: Callable[[Sequence[Any]], None] = partial(context.ros_queue.put, self)
+        self._put: Callable[[Sequence[Any]], None] = partial(route.context.ros_queue.put, self)
         with ExitStack() as held:
-            use = TypeUse(context.ros, route.peer.budget.types)
+            use = TypeUse(route.context.ros, route.peer.budget.types)
             use.begin(version.name, version.type_hash, is_service=not self._member.is_topic)
             held.callback(use.end)
             self._open(held)
@@ -61,9 +69,13 @@ class OpenLane:
         return TopicSpec(self._name, *self.version, self._member.qos)
 
     def _failed(self, error: RosError) -> None:
-        """Have the route handle that the endpoint has closed itself; called on the ROS thread."""
-        # Not if another endpoint is in its place by then.
-        self._route.context.call(lambda: self._route.endpoint_failed(error) if self._is_open else None)
+        """Have the owner handle that the endpoint has closed itself; called on the ROS thread."""
+        self._route.context.call(lambda: self._handle_failure(error))
+
+    def _handle_failure(self, error: RosError) -> None:
+        if self._is_open:  # else another endpoint is in its place
+            self._owner.failed(error)
+            self._route.advance()  # the other side may have to hear of it
 
     def close(self) -> None:
         """Close the endpoint."""
@@ -79,16 +91,21 @@ class OpenLanes(Generic[S, T]):
     """The open lanes of one half. Its services open and close together; a topic opens once its type has been found.
 
     Args:
+        owner: of each lane.
         service, topic: the classes of its lanes.
 
     Attributes:
         services, topics: by lane.
+        retry: delays new attempts after ROS has refused an endpoint.
     """
 
-    def __init__(self, route: CallsRoute, service: type[S], topic: type[T]) -> None:
+    def __init__(self, flow: CallsFlow, owner: LanesOwner, service: type[S], topic: type[T]) -> None:
         self.services: dict[int, S] = {}
         self.topics: dict[int, T] = {}
-        self._route = route
+        self.retry = RosRetry(flow.route)
+        self._entries: Sequence[LaneEntry] = ()  # the types that were wanted last
+        self._flow = flow
+        self._owner = owner
         self._service = service
         self._topic = topic
 
@@ -102,15 +119,16 @@ class OpenLanes(Generic[S, T]):
         Raises:
             RosError: one cannot be opened; nothing is left open.
         """
+        self._entries = entries
         fitting = self.fitting(entries)
         # The types of most topics follow from the route's.
         topics = self.topics if len(fitting) == len(self.services) else ()
         self.close(keep={*fitting.intersection(lanes), *topics})
         with ExitStack() as failed:
             failed.callback(self.close)
-            for lane, (member, entry) in enumerate(zip(self._route.members, entries, strict=True)):
+            for lane, (member, entry) in enumerate(zip(self._flow.members, entries, strict=True)):
                 if lane in lanes and not member.is_topic and lane not in self.services:
-                    self.services[lane] = self._service(self._route, lane, version_of(entry))
+                    self.services[lane] = self._service(self._flow, self._owner, lane, version_of(entry))
             failed.pop_all()
 
     def open_topics(self, entries: Sequence[LaneEntry]) -> list[T]:
@@ -119,12 +137,17 @@ class OpenLanes(Generic[S, T]):
         Raises:
             RosError: one cannot be opened.
         """
-        new = []
-        for lane, (member, entry) in enumerate(zip(self._route.members, entries, strict=True)):
+        self._entries, new = entries, []
+        for lane, (member, entry) in enumerate(zip(self._flow.members, entries, strict=True)):
             if member.is_topic and entry.type_hash and lane not in self.topics:
-                self.topics[lane] = topic = self._topic(self._route, lane, version_of(entry))
+                self.topics[lane] = topic = self._topic(self._flow, self._owner, lane, version_of(entry))
                 new.append(topic)
         return new
+
+    def failed(self, text: str) -> None:
+        """Close all lanes for a reason in words, and have the same types tried again later."""
+        self.close()
+        self.retry.failed(text, self._entries)
 
     def close(self, keep: Collection[int] = ()) -> None:
         """Close all lanes except those to keep."""

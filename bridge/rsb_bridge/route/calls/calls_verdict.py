@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.snapshot import Stage, State
 from rsb_bridge.model.verdict import LASTING, Cause, LinkCause, Verdict
-from rsb_bridge.route.blocking_rules import JudgedRoute, first_missing, stages_with_link
+from rsb_bridge.route.blocking_rules import JudgedHalf, first_missing, stages_with_link
 from rsb_bridge.route.calls.calls_ledger import LATELY, REMEDIES
 
 if TYPE_CHECKING:
@@ -38,9 +38,6 @@ class CallsProgress(NamedTuple):
         offered: whether callers can call it, as far as this half knows.
         offer_failed: whether this half is kept from its part in offering it.
         why_not_offered: the reason why it is not offered, or empty.
-        asked: calls that came, since the route was made.
-        answered: calls that were answered, since the route was made.
-        last_failure: the reason why the last call without an answer had none, or empty.
     """
 
     served: bool | None = None
@@ -51,9 +48,6 @@ class CallsProgress(NamedTuple):
     offered: bool = False
     offer_failed: bool = False
     why_not_offered: str = ""
-    asked: int = 0
-    answered: int = 0
-    last_failure: str = ""
 
 
 class MalformedCall(NamedTuple):
@@ -67,21 +61,40 @@ class MalformedCall(NamedTuple):
     field: str
 
 
-class JudgedCalls(JudgedRoute, Protocol):
+class CallsEnd(Protocol):
+    """The end of a route of calls on this side: the offer to callers here, or the servers here.
+
+    Attributes:
+        warning: the trouble that does not keep calls from crossing, or None.
+    """
+
+    warning: Trouble | None
+
+    @property
+    def offered(self) -> bool:
+        """Whether callers can call it, as far as this half knows."""
+
+    def unavailable(self) -> Trouble | None:
+        """Return the reason why nothing can be called, or None if this side knows of none."""
+
+    def nodes(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Return the nodes that call, and the nodes that answer."""
+
+    def at_node(self) -> tuple[int, int]:
+        """Return the newest call that was given to DDS, with all before it, and how many calls wait for their node."""
+
+    def progress(self) -> CallsProgress:
+        """Return how far calls get, as this half knows it."""
+
+
+class JudgedCalls(JudgedHalf, Protocol):
     """One half of a route of calls, as its rules and stages read it."""
 
     calls: CallsLedger
     failures: CallFailures
-    warning: Trouble | None
+    end: CallsEnd
 
     def stages(self) -> tuple[Stage, ...]: ...
-
-    def end_nodes(self) -> tuple[tuple[str, ...], tuple[str, ...]]: ...
-
-    @property
-    def offered(self) -> bool: ...
-
-    def unavailable(self) -> Trouble | None: ...
 
     @property
     def waited(self) -> bool: ...
@@ -92,32 +105,32 @@ class JudgedCalls(JudgedRoute, Protocol):
     def call_timeout(self) -> float: ...
 
 
-def calls_stages(half: JudgedRoute, progress: CallsProgress) -> tuple[Stage, ...]:
+def calls_stages(half: JudgedCalls, progress: CallsProgress) -> tuple[Stage, ...]:
     """Return the stages from the server to the caller that has its answer, in order."""
     seen = Stage(
         "server seen", progress.served, ", ".join(progress.providers) if progress.served else progress.why_unserved
     )
     if progress.type_known:
         known = Stage("type known", True, progress.type_name)
-    elif progress.served and not half.outgoing:  # else the other side knows why
+    elif progress.served and not half.route.outgoing:  # else the other side knows why
         known = Stage("type known", False, progress.why_unserved)
     else:
         known = Stage("type known", None)
     offered = Stage("offered", False if progress.offer_failed else progress.offered or None, progress.why_not_offered)
-    called = Stage("called", progress.asked > 0 or None)
-    answered = Stage("answered", True) if progress.answered else Stage("answered", None, progress.last_failure)
+    called = Stage("called", half.calls.asked > 0 or None)
+    answered = Stage("answered", True) if half.calls.answered else Stage("answered", None, half.calls.last_failure)
     return stages_with_link(half, (seen, known), (offered, called, answered))
 
 
 def _unavailable(half: JudgedCalls, _: Crossing) -> Verdict | None:
-    if (trouble := half.unavailable()) is None:
+    if (trouble := half.end.unavailable()) is None:
         return None
     not_yet = trouble.cause is Cause.NO_SERVER  # as a topic that has no publisher yet
     return Verdict(State.WAITING if not_yet else State.DOWN, *trouble)
 
 
 def _awaits_link(half: JudgedCalls, _: Crossing) -> Verdict | None:
-    path = half.peer.path.fault
+    path = half.route.peer.path.fault
     if path is None or path.cause is not LinkCause.SILENT or not half.calls.in_flight:
         return None
     return Verdict(State.WAITING, Cause.AWAITS_LINK, path.text)
@@ -130,7 +143,7 @@ def _unanswered(half: JudgedCalls, _: Crossing) -> Verdict | None:
         what = f"no call has been answered for {LASTING}: the last one timed out"
     else:
         return None
-    providers = half.end_nodes()[1]
+    providers = half.end.nodes()[1]
     nodes = " and ".join(providers) or "the far node"
     if half.waited:
         text = f"{what}; they waited for {nodes} to take earlier ones: make fewer at once, or set a longer timeout"
@@ -152,11 +165,11 @@ def _refused(half: JudgedCalls, _: Crossing) -> Verdict | None:
 
 
 def _warning(half: JudgedCalls, _: Crossing) -> Verdict | None:
-    return Verdict(State.UNHEARD, *half.warning) if half.warning is not None else None
+    return Verdict(State.UNHEARD, *half.end.warning) if half.end.warning is not None else None
 
 
 def _waiting(half: JudgedCalls, crossing: Crossing) -> Verdict | None:
-    offered = half.offered
+    offered = half.end.offered
     if half.came and offered:
         return None
     text = "not called since it was reopened" if half.came_before else "not called yet"

@@ -21,16 +21,13 @@ HEADER_LENGTH = 4
 """Bytes of the encapsulation header (DDSI-RTPS 2.5, section 10.2)."""
 _ORDERS = {b"\x00\x00": ">", b"\x00\x01": "<"}  # CDR_BE, CDR_LE
 _ID_END = HEADER_LENGTH + 16
-_CANCEL_END = _ID_END + 8
-_ALL = bytes(16)
 _RESPONSE_LENGTH = 12  # of send_goal: a bool, and a stamp aligned to four
 _CANCELED = {order: struct.Struct(f"{order}b3xI") for order in "<>"}  # code, and how many goals
 _REJECTED = 1
 """Of action_msgs/srv/CancelGoal. A goal that is unknown (2) or over (3) moves no robot."""
 _COUNT_END = HEADER_LENGTH + 4
-_FIRST_STATUS = {order: struct.Struct(f"{order}16siIB") for order in "<>"}  # goal id, stamp in s and ns, state
-_NEXT_STATUS = {order: struct.Struct(f"{order}16s3xiIB") for order in "<>"}
-_ACCEPTANCE = struct.Struct("<?3xiI")  # a stamp as above
+_FIRST_STATUS = struct.Struct("<16s8xB")  # goal id, stamp, state: one byte, so in either order
+_NEXT_STATUS = struct.Struct("<16s11xB")
 _MOST_STATUSES = 10_000  # goals of a message that are read. A round figure: any node may publish a longer list
 
 STATES = ("unknown", "accepted", "executing", "canceling", "succeeded", "canceled", "aborted")
@@ -48,7 +45,6 @@ class GoalStatus(NamedTuple):
 
     goal: bytes
     state: str
-    accepted_at: tuple[int, int] = (0, 0)  # s and ns, by its server's clock
 
 
 def goal_of(payload: bytes) -> bytes | None:
@@ -58,18 +54,14 @@ def goal_of(payload: bytes) -> bytes | None:
     return payload[HEADER_LENGTH:_ID_END]
 
 
-def cancelled_by(payload: bytes) -> bytes | None:
-    """Return the goal of an action_msgs/srv/CancelGoal request, or None if it is about several, or malformed."""
-    goal = goal_of(payload)
-    if goal is None or len(payload) < _CANCEL_END:
-        return None
-    alone = goal != _ALL and payload[_ID_END:_CANCEL_END] == bytes(8)
-    return goal if alone else None
-
-
 def cancel_request(goal: bytes) -> bytes:
     """Return a cancel_goal request for one goal."""
     return b"\x00\x01\x00\x00" + goal + bytes(8)
+
+
+def result_request(goal: bytes) -> bytes:
+    """Return a get_result request."""
+    return b"\x00\x01\x00\x00" + goal
 
 
 def refuses_cancel(payload: bytes) -> bool:
@@ -95,11 +87,6 @@ def rejection_of(request: bytes) -> bytes:
     return request[:2] + bytes(2 + _RESPONSE_LENGTH)
 
 
-def acceptance_of(accepted_at: tuple[int, int]) -> bytes:
-    """Return a send_goal response that accepts the goal."""
-    return b"\x00\x01\x00\x00" + _ACCEPTANCE.pack(True, *accepted_at)
-
-
 def state_of(payload: bytes) -> str | None:
     """Return the goal's last state in a get_result response; ``unknown`` if its server does not know the goal."""
     if payload[:2] not in _ORDERS or len(payload) <= HEADER_LENGTH:
@@ -117,17 +104,13 @@ def statuses_of(payload: bytes) -> list[GoalStatus] | None:
     if count == 0:
         return []
     # The id of the second and of later ones follows a state, one byte; the stamp behind it is aligned to four.
-    first, following = _FIRST_STATUS[order], _NEXT_STATUS[order]
-    next_begins = _COUNT_END + first.size
+    next_begins = _COUNT_END + _FIRST_STATUS.size
     # The count is anybody's word.
-    if next_begins + (count - 1) * following.size > len(payload):
+    if next_begins + (count - 1) * _NEXT_STATUS.size > len(payload):
         return None
-    next_end = next_begins + (min(count, _MOST_STATUSES) - 1) * following.size
-    found = [first.unpack_from(payload, _COUNT_END), *following.iter_unpack(payload[next_begins:next_end])]
-    return [
-        GoalStatus(goal, STATES[state] if state < len(STATES) else STATES[0], (seconds, ns))
-        for goal, seconds, ns, state in found
-    ]
+    next_end = next_begins + (min(count, _MOST_STATUSES) - 1) * _NEXT_STATUS.size
+    found = [_FIRST_STATUS.unpack_from(payload, _COUNT_END), *_NEXT_STATUS.iter_unpack(payload[next_begins:next_end])]
+    return [GoalStatus(goal, STATES[state] if state < len(STATES) else STATES[0]) for goal, state in found]
 
 
 @dataclass(slots=True)
@@ -137,7 +120,6 @@ class _Goal:
     feedbacks: int = 0
     crossed: bool = False  # sent by this route's callers, not by others of its server
     listed: bool = False  # by its server's last status message
-    accepted_at: tuple[int, int] | None = None  # as its server has listed it
     gone: bool = False  # with its server, or its server does not know it
     ended: bool = False  # with the arming: it is cancelled, even if its server accepts it only later
 
@@ -187,14 +169,12 @@ class Goals:
         If a goal is no longer listed, the server has forgotten it: it has been restarted, or it does not keep results
         for so long. The goal's state is unknown then.
         """
-        stated = {each.goal: each for each in statuses}
-        for goal, (_, state, accepted_at) in stated.items():
+        stated = {each.goal: each.state for each in statuses}
+        for goal, state in stated.items():
             if goal not in self._goals and state not in OVER and state != UNKNOWN:
                 self._add(goal, state)
-            elif goal in self._goals:
-                self._goals[goal].accepted_at = accepted_at
-                if self._follows(self._goals[goal].state, state):
-                    self._change(goal, state)
+            elif goal in self._goals and self._follows(self._goals[goal].state, state):
+                self._change(goal, state)
         for goal, known in self._goals.items():
             if known.listed and goal not in stated and known.state not in OVER:
                 self._change(goal, UNKNOWN)
@@ -220,10 +200,6 @@ class Goals:
             if known.state not in OVER:
                 known.gone = True
                 self._change(goal, UNKNOWN)
-
-    def accepted_at(self, goal: bytes) -> tuple[int, int] | None:
-        """Return when (s and ns) its server accepted a goal, or None unless it has listed it."""
-        return self._goals[goal].accepted_at if goal in self._goals else None
 
     def is_over(self, goal: bytes) -> bool:
         """Return whether a goal has finished, as far as its server has told."""

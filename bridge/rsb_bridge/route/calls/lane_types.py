@@ -5,17 +5,24 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from rsb_bridge.cdr.checker import MalformedError, TooComplexError
 from rsb_bridge.cdr.description import hashes_text, messages_of
+from rsb_bridge.model.calls import Refused
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.ros.ros_interface import RosError
-from rsb_bridge.route.message_check import MessageCheck
+from rsb_bridge.route.calls.calls_verdict import MalformedCall
+from rsb_bridge.route.message_check import MessageCheck, malformed_text
+from rsb_bridge.wire.framing import CALL_LIMIT
 
 if TYPE_CHECKING:
     import asyncio
     from collections.abc import Sequence
 
     from rsb_bridge.cdr.description import TypeVersion
-    from rsb_bridge.model.calls import ServiceMember
+    from rsb_bridge.route.calls.calls_flow import CallsFlow
     from rsb_bridge.route.route import Route
+    from rsb_bridge.wire.headers import CallFrame
     from rsb_bridge.wire.records import LaneEntry
 
 
@@ -25,15 +32,17 @@ class LaneTypes:
     Attributes:
         names: by lane, as last known.
         messages: the types of their requests, responses and messages, as last known.
+        last_malformed: the last malformed request or response in the present opening, or None.
     """
 
-    def __init__(self, route: Route, members: Sequence[ServiceMember]) -> None:
+    def __init__(self, flow: CallsFlow) -> None:
         self.names: tuple[str, ...] = ()
         self.messages: tuple[TypeVersion, ...] = ()
-        self._route = route
+        self.last_malformed: MalformedCall | None = None
+        self._route = route = flow.route
         self._context = route.context
-        self._members = members
-        self._checks = [MessageCheck(route.context, route.peer.budget.checks) for _ in members]
+        self._members, self._failures = flow.members, flow.failures
+        self._checks = [MessageCheck(route.context, route.peer.budget.checks) for _ in flow.members]
         self._loaded: tuple[str, ...] = ()  # types by lane, once loading them was tried
         self._loading: tuple[str, ...] = ()
 
@@ -80,11 +89,31 @@ class LaneTypes:
         for check in self._checks:
             check.set()
 
-    def check(self, lane: int, part: str, content: bytes) -> None:
-        """Check the content of a frame, if the session wants that, and the type's description is here.
+    def malformed(self, frame: CallFrame, part: str) -> Refused | None:
+        """Return the reason why ROS may not get a frame's content, or None if it may.
 
         Args:
             part: the suffix of the lane's type: ``_Request``, ``_Response`` or nothing.
+        """
+        peer = self._route.peer.name
+        if (size := len(frame.content)) > CALL_LIMIT:
+            text = f"{peer} sent {size:,} bytes of {self.names[frame.lane]}, more than {CALL_LIMIT:,}"
+            self._failures.say(text, EventCode.ROUTE_TOO_LARGE)
+            return Refused.TOO_LARGE
+        try:
+            self._check(frame.lane, part, frame.content)
+        except MalformedError as error:
+            type_name = self.names[frame.lane] + part
+            self.last_malformed = MalformedCall(type_name, sanitize_text(str(error)))
+            self._failures.say(malformed_text(type_name, peer, error), EventCode.ROUTE_MALFORMED)
+            return Refused.MALFORMED
+        except TooComplexError as error:
+            self._failures.say(str(error), EventCode.ROUTE_TOO_COMPLEX)
+            return Refused.TOO_COMPLEX
+        return None
+
+    def _check(self, lane: int, part: str, content: bytes) -> None:
+        """Check a content, if the session wants that, and the type's description is here.
 
         Raises:
             MalformedError: the content is not of its type.

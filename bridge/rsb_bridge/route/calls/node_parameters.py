@@ -1,4 +1,4 @@
-"""The two halves of the route of a node's parameters, which pass on the events of that node only."""
+"""The parameters of a node: of the events of all nodes, its route passes on those of that node only."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from rsb_bridge.cdr.event_node import ParameterEventError, node_of, with_node
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.model.wording import Wording
-from rsb_bridge.route.calls.calling import CallingRoute
+from rsb_bridge.route.calls.asked_calls import CallerKind
 from rsb_bridge.route.calls.calls_verdict import Trouble
-from rsb_bridge.route.calls.providing import ProvidingRoute
+from rsb_bridge.route.calls.provided_calls import ProviderKind
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -30,48 +30,45 @@ class NoParameters(Wording):
     NO_SERVICES = "{node} is in domain {domain}, but has no parameter services: it was started without them"
 
 
-class CallingParametersRoute(CallingRoute):
-    """Offers a node's parameters here."""
+class CallerParameters(CallerKind):
+    """Keeps events of other nodes from subscribers here."""
 
-    def _take_message(self, frame: CallFrame) -> None:
-        """Publish a parameter event of the peer, if it is about the route's node."""
+    def publishes(self, frame: CallFrame) -> bool:
         try:
-            why = "" if node_of(frame.content) == self.local_topic else "it is about another node"
+            why = "" if node_of(frame.content) == self._route.local_topic else "it is about another node"
         except ParameterEventError as error:
             why = str(error)
         if why:
             text = f"a parameter event of the peer is left out: {why}"
-            self.notices.message_error(EventCode.ROUTE_EVENT_LEFT_OUT, text)
-        else:
-            super()._take_message(frame)
+            self._route.notices.message_error(EventCode.ROUTE_EVENT_LEFT_OUT, text)
+        return not why
 
 
-class ProvidingParametersRoute(ProvidingRoute):
-    """Tells the peer of a node's parameters here, and passes its calls on."""
+class ProviderParameters(ProviderKind):
+    """Sends the events of the route's node, and explains why it has no parameters."""
 
-    def _find(self) -> Provision:
-        found = super()._find()
+    def explained(self, found: Provision) -> Provision:
         if (missing := found.unavailable) is None or missing.cause is not Cause.NO_SERVER:
             return found
         # The node may be there without parameters, or with some of the services.
-        node, servers = self.local_topic, self.context.ros.servers
-        if any(servers(member.name_on(node)) for member in self.members if not member.is_topic):
+        node, ros, members = self._route.local_topic, self._route.context.ros, self._flow.members
+        if any(ros.servers(member.name_on(node)) for member in members if not member.is_topic):
             text = NoParameters.SOME_SERVICES(missing=missing.text, node=node)
-        elif servers(node + _EVERY_NODE_HAS):
-            text = NoParameters.NO_SERVICES(node=node, domain=self.context.domain_id)
+        elif ros.servers(node + _EVERY_NODE_HAS):
+            text = NoParameters.NO_SERVICES(node=node, domain=self._route.context.domain_id)
         else:
             return found
         return found._replace(unavailable=Trouble(Cause.NO_PARAMETERS, text))
 
-    def published(self, lane: int, messages: Sequence[RawMessage]) -> None:
-        """Send the parameter events of the route's node, with the node's name on the callers' side."""
-        own, node = [], self.local_topic
+    def published(self, lane: int, messages: Sequence[RawMessage]) -> Sequence[RawMessage]:
+        """Return the events of the route's node, with the node's name on the callers' side."""
+        own, node, callers_node = [], self._route.local_topic, self._route.topic
         for message in messages:
             try:
                 if node_of(message.payload) == node:
-                    renamed = message.payload if self.topic == node else with_node(message.payload, self.topic)
-                    own.append(message._replace(payload=renamed))
+                    payload = message.payload if callers_node == node else with_node(message.payload, callers_node)
+                    own.append(message._replace(payload=payload))
             except ParameterEventError as error:
                 text = f"a parameter event is left out: {error}"
-                self.notices.message_error(EventCode.ROUTE_EVENT_LEFT_OUT, text)
-        super().published(lane, own)
+                self._route.notices.message_error(EventCode.ROUTE_EVENT_LEFT_OUT, text)
+        return own

@@ -64,7 +64,7 @@ class PendingCalls(Generic[C]):
         self._deadlines: list[tuple[float, int]] = []  # a heap; entries of ended calls stay for a while
         self._timer: asyncio.TimerHandle | None = None
         self._looks_at = math.inf  # s, when the timer is due
-        self._paused_at: float | None = None
+        self._suspended_at: float | None = None
 
     def __len__(self) -> int:
         return len(self._calls)
@@ -95,9 +95,9 @@ class PendingCalls(Generic[C]):
         if len(self._deadlines) > 2 * len(self._calls) + _ROOM:
             self._deadlines = [each for each in self._deadlines if each[1] in self._calls]
             heapq.heapify(self._deadlines)
-        due = (self._loop.time() if self._paused_at is None else self._paused_at) + timeout
+        due = (self._loop.time() if self._suspended_at is None else self._suspended_at) + timeout
         heapq.heappush(self._deadlines, (due, number))
-        if due < self._looks_at and self._paused_at is None:
+        if due < self._looks_at and self._suspended_at is None:
             self._look_at(due)
 
     def end(self, number: int) -> C | None:
@@ -115,20 +115,20 @@ class PendingCalls(Generic[C]):
             self.end(number)
         self._deadlines.clear()
         self._look_at(math.inf)
-        self._paused_at = None
+        self._suspended_at = None
         return calls
 
-    def pause(self) -> None:
-        """Let no call expire until `go_on`: nobody can answer."""
-        if self._paused_at is None:
-            self._paused_at = self._loop.time()
+    def suspend(self) -> None:
+        """Let no call expire until `resume`: nobody can answer."""
+        if self._suspended_at is None:
+            self._suspended_at = self._loop.time()
             self._look_at(math.inf)
 
-    def go_on(self) -> None:
-        """Give each call the time that was left when they were paused; later ones their whole timeout."""
-        if self._paused_at is not None:
-            pause, self._paused_at = self._loop.time() - self._paused_at, None
-            self._deadlines = [(due + pause, number) for due, number in self._deadlines]  # still a heap
+    def resume(self) -> None:
+        """Give each call the time that was left when they were suspended, and later ones their whole timeout."""
+        if self._suspended_at is not None:
+            away, self._suspended_at = self._loop.time() - self._suspended_at, None
+            self._deadlines = [(due + away, number) for due, number in self._deadlines]  # still a heap
             self._look_at(self._deadlines[0][0] if self._deadlines else math.inf)
 
     def resize(self, call: C, size: int) -> bool:

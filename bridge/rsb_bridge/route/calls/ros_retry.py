@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.budgets import Backoff
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.calls.calls_verdict import Trouble
 
@@ -41,7 +42,10 @@ class RosRetry:
         return self._timer is not None and entries == self._entries
 
     def failed(self, text: str, entries: Sequence[LaneEntry]) -> None:
-        """Note that endpoints of these types could not be made, or closed themselves, for a reason in words."""
+        """Report that endpoints of these types could not be made, or closed themselves, for a reason in words.
+
+        They are tried again later, others at once.
+        """
         now = self._route.context.now()
         if now - self._failed_at >= _HEALED_AFTER:
             self._backoff.reset()
@@ -49,6 +53,8 @@ class RosRetry:
         self.trouble = Trouble(Cause.OFFER_FAILED, f"{text}; trying again")
         self._stop()
         self._timer = self._route.context.loop.call_later(self._backoff.next(), self._due)
+        self._route.notices.error(EventCode.ROUTE_OFFER_FAILED, text)
+        self._route.judge_again()
 
     def clear(self) -> None:
         """Note that all endpoints that are wanted exist."""

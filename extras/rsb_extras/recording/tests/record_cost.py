@@ -1,4 +1,4 @@
-"""Prints what recording costs a message, on the halves of a route between stand-ins of DDS and link, off and on."""
+"""Prints what recording costs a message, on the halves of a sender between stand-ins of DDS and link, off and on."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rsb_bridge.context import Context
 from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.ros.ros_interface import RawMessage
 from rsb_bridge.ros.ros_thread import RosToLoopQueue
-from rsb_bridge.route.outgoing import OutgoingRoute
+from rsb_bridge.route.sender import Sender
 from rsb_bridge.telemetry.event_log import EventLog
 from rsb_extras.recording.keeping import Keeping
 
@@ -50,11 +50,11 @@ def _context(loop: VirtualLoop, ros: object, record: object) -> Context:
 def _sending(loop: VirtualLoop, record: object) -> Callable[[int], None]:
     graph, peer = Graph(), Peer()
     context = _context(loop, graph, record)
-    route = half_of(OutgoingRoute, context, Topic(SCAN, "transmit"), peer)
-    route.open(1)
-    route.on_accepted()
-    peer.answer(route)
-    world = World(route, graph, peer, context, loop)
+    sender = half_of(Sender, context, Topic(SCAN, "transmit"), peer)
+    sender.route.open(1)
+    sender.route.on_accepted()
+    peer.answer(sender)
+    world = World(sender, graph, peer, context, loop)
     numbers = iter(range(1, 1 << 40))
 
     def pass_on(together: int) -> None:
@@ -66,11 +66,11 @@ def _sending(loop: VirtualLoop, record: object) -> Callable[[int], None]:
 
 def _receiving(loop: VirtualLoop, record: object) -> Callable[[int], None]:
     ros = OnePublisher()
-    route = opened(_context(loop, ros, record), FakePeer(), "/chat")
+    receiver = opened(_context(loop, ros, record), FakePeer(), "/chat")
 
     def pass_on(together: int) -> None:
         ros.published.sizes.clear()
-        route.deliver([(bytes(_SIZE), 0, 0) for _ in range(together)])
+        receiver.deliver([(bytes(_SIZE), 0, 0) for _ in range(together)])
 
     return pass_on
 

@@ -25,7 +25,8 @@ from tests.support.wording import pattern
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.files import Shortage
 from rsb_bridge.model.session import Client, Topic
-from rsb_bridge.route.topic_route import TopicRoute
+from rsb_bridge.route.receiver import Receiver
+from rsb_bridge.route.sender import Sender
 from rsb_extras.pictures.look_requests import EndLook, LookAtTopics
 from rsb_extras.pictures.picture import Wish
 from rsb_extras.recording import RecordLimits
@@ -56,9 +57,9 @@ def kept(engine: Engine) -> int:
     return 0 if ring is None else len(ring)
 
 
-def routes(engine: Engine) -> list[TopicRoute[Any]]:
-    found = [route for link in inside(engine).role.links() for route in tuple(link.routes.values())]
-    return [route for route in found if isinstance(route, TopicRoute)]
+def halves(engine: Engine) -> list[Sender | Receiver]:
+    found = [route.half for link in inside(engine).role.links() for route in tuple(link.routes.values())]
+    return [half for half in found if isinstance(half, Sender | Receiver)]
 
 
 def test_both_sides_write_what_passed(bridge: Bridge, robot: Domain, pc: Domain, folder: Path) -> None:
@@ -106,9 +107,9 @@ def test_off_no_route_has_a_tap(bridge: Bridge, robot: Domain, pc: Domain) -> No
     publisher.publish(text("one"))
     eventually(lambda: listener.payloads)
     for engine in engines:
-        (route,) = routes(engine)
-        assert route.peek_slot.tap is None
-        assert not route.peek_slot.wanted
+        (half,) = halves(engine)
+        assert half.flow.peek_slot.tap is None
+        assert not half.flow.peek_slot.wanted
         with pytest.raises(EngineError, match="record: true"):
             keep(engine)
 
@@ -159,7 +160,7 @@ def test_recording_begins_and_ends_with_a_reload(bridge: Bridge, robot: Domain, 
         eventually(lambda engine=engine: kept(engine) == 1)
         assert [each.message.data for each in read(keep(engine).path)] == ["between"]
         reloaded(engine, tmp_path / f"{engine.session.role}.yaml", features={})
-        assert (kept(engine), routes(engine)[0].peek_slot.tap) == (0, None)
+        assert (kept(engine), halves(engine)[0].flow.peek_slot.tap) == (0, None)
     publisher.publish(text("after"))
     eventually(lambda: len(listener.payloads) == 3)
     with pytest.raises(EngineError, match="record: true"):

@@ -1,0 +1,65 @@
+"""The calls of one half of a route: their counts on this side, and how far the other side says that they are."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rsb_bridge.channel.scheduler import SendingChannel
+from rsb_bridge.model.calls import LANES
+from rsb_bridge.model.session import CALL_TIMEOUT
+from rsb_bridge.route.calls.calls_ledger import CallFailures, CallsLedger
+from rsb_bridge.route.half import Carried
+
+if TYPE_CHECKING:
+    from rsb_bridge.route.route import Route
+    from rsb_bridge.wire.records import CallsReport
+
+
+class CallsFlow:
+    """What all parts of one half know of its calls.
+
+    Attributes:
+        members: the services and topics that the route consists of.
+        calls: counts of its calls on this side.
+        failures: counts those without an answer, and tells operators why.
+        came: whether a call came in the present opening.
+        report: the other side's last one in the present opening, or None.
+    """
+
+    def __init__(self, route: Route) -> None:
+        self.route = route
+        self.carried = Carried[SendingChannel]()
+        self.members = LANES[route.spec.kind]
+        self.calls = CallsLedger()
+        self.failures = CallFailures(route, self.calls)
+        self.came = False
+        self.report: CallsReport | None = None
+
+    @property
+    def call_timeout(self) -> float:
+        """Seconds after which a call expires, unless its lane has no timeout."""
+        return self.route.proposal.timeout or CALL_TIMEOUT
+
+    def timeout_of(self, lane: int) -> float | None:
+        """Return the seconds after which a lane's call expires, or None if it never does."""
+        # Not by `call_timeout`, which would be one more function for each call.
+        return None if self.members[lane].patient else self.route.proposal.timeout or CALL_TIMEOUT
+
+    def open(self) -> None:
+        """Begin a new opening."""
+        self.report = None
+        self.came = False
+
+    def asked(self, size: int) -> None:
+        """Count a call with a request of `size` bytes."""
+        if self.route.idle:
+            self.route.wake()
+        self.calls.asked += 1
+        self.came = True
+        self.route.meter.add(1, size, self.route.context.now())
+
+    def answered(self, size: int) -> None:
+        """Count an answer of `size` bytes."""
+        self.calls.answered += 1
+        self.route.meter.add(0, size, self.route.context.now())
+        self.route.notices.flowing()

@@ -1,0 +1,131 @@
+"""What `Caller` and `Provider` do alike.
+
+A route of calls consists of members (`rsb_bridge.model.calls`): services, and topics that go from the providing side to
+the callers'. The frames of all members (`rsb_bridge.wire.headers`) go over one channel, which sends both ways. A frame
+names its member by a number, the *lane*.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import msgspec
+
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.route.calls.calls_facts import CallsFacts, malformed_in
+from rsb_bridge.route.calls.calls_verdict import OF_CALLS
+from rsb_bridge.route.combined_verdict import lasting, node_names, record_of
+from rsb_bridge.wire.records import CallsReport
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from rsb_bridge.channel.scheduler import SendingChannel
+    from rsb_bridge.route.blocking_rules import Rules
+    from rsb_bridge.route.calls.asked_calls import AskedCalls
+    from rsb_bridge.route.calls.calls_flow import CallsFlow
+    from rsb_bridge.route.calls.lane_types import LaneTypes
+    from rsb_bridge.route.calls.provided_calls import ProvidedCalls
+    from rsb_bridge.route.crossing import Crossing
+    from rsb_bridge.route.half import Carried
+    from rsb_bridge.route.idling import Signs
+    from rsb_bridge.route.route import Route
+    from rsb_bridge.wire.framing import Message
+
+
+class CallsHalf:
+    """The verbs of a half that do the same for callers and providers, with the parts of either.
+
+    Attributes:
+        flow: the counts of its calls.
+        types: of its members.
+        under_way: its calls.
+    """
+
+    peer_report: ClassVar[Any] = CallsReport
+    rules: ClassVar[Rules[Any]] = OF_CALLS
+    duplex: ClassVar[bool] = True
+
+    route: Route
+    flow: CallsFlow
+    carried: Carried[SendingChannel]
+    types: LaneTypes
+    facts: CallsFacts
+    deliver: Callable[[Iterable[Message]], None]
+    flush: Callable[[], None]
+    under_way: AskedCalls | ProvidedCalls
+    _last_report: CallsReport | None = None  # of the present opening
+
+    def open(self) -> None:
+        """Begin a new opening."""
+        self._last_report = self.types.last_malformed = None
+        self.flow.open()
+
+    def suspend(self) -> None:
+        """Let no call expire, as nobody can answer."""
+        self.under_way.pending.suspend()
+
+    def resume(self) -> None:
+        """Let calls expire again, in the time that was left for each."""
+        self.under_way.pending.resume()
+
+    def lapse(self) -> None:
+        """Calls that were under way go on."""
+
+    def configure(self) -> None:
+        """Take over whether messages are checked."""
+        self.types.set_check()
+
+    def may_flow(self) -> None:
+        """Begin a new period of failures."""
+        self.flow.failures.forget()
+
+    def measure(self, now: float, crossing: Crossing, *, learns: bool) -> None:
+        calls = self.flow.calls
+        if not self.facts.end.offered:
+            calls.forget_lately()
+        calls.tick()
+        self.flow.failures.tick()
+
+    @property
+    def passed(self) -> int:
+        calls = self.flow.calls
+        return calls.asked + calls.answered + calls.expired + calls.refused.total() + calls.lost + calls.late
+
+    def signs(self) -> Signs:
+        end = self.facts.end
+        malformed = self.facts.last_malformed()
+        return self.flow.report, end.unavailable(), end.warning, end.offered, malformed, end.nodes()
+
+    def next_change(self, now: float, crossing: Crossing) -> float:
+        return math.inf
+
+    def reported(self, report: CallsReport) -> None:
+        """Take the peer's verdict, and how far its calls are."""
+        route, found = self.route, malformed_in(report)
+        if found is not None and found != malformed_in(self.flow.report):
+            text = f"malformed {found.type_name} to {route.peer.name}: {found.field}: see the node here that sent it"
+            self.flow.failures.say(text, EventCode.ROUTE_MALFORMED)
+        self.flow.report = report
+        route.wake()
+        route.judged.receive(report.verdict, route.context.now())
+
+    def news(self) -> CallsReport | None:
+        route, malformed, verdict = self.route, self.types.last_malformed, self.route.verdict()
+        given, waiting = (0, 0) if route.outgoing else self.facts.end.at_node()
+        report = CallsReport(
+            route=route.id,
+            given=given,
+            waiting=waiting,
+            malformed_type="" if malformed is None else malformed.type_name,
+            malformed="" if malformed is None else malformed.field,
+            offered=self.facts.end.offered,
+            verdict=record_of(verdict),
+            nodes=node_names(self.carried.endpoints),
+        )
+        # Without the verdict's duration, which is another one each second.
+        if report == self._last_report:
+            return None
+        self._last_report = report
+        return msgspec.structs.replace(report, verdict=lasting(report.verdict, verdict, route.context.now()))

@@ -1,0 +1,162 @@
+"""The goals of an action's route in its providing half, which cancels them if a session wants that."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from rsb_bridge.model.by_hand import END_CANCEL, END_NONE, more_careful_end
+from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL, STATUS
+from rsb_bridge.ros.ros_interface import RosError
+from rsb_bridge.route.calls.goals import MOST_GOALS, Goals, accepted_by, cancel_request, goal_of, refuses_cancel
+from rsb_bridge.route.calls.provided_calls import ProviderKind
+from rsb_bridge.wire.headers import CallFrame, What
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from rsb_bridge.model.calls import GoalSnapshot
+    from rsb_bridge.ros.ros_interface import RawMessage, Response
+    from rsb_bridge.route.calls.calls_flow import CallsFlow
+    from rsb_bridge.route.calls.paced_client import PacedClient
+    from rsb_bridge.route.calls.provided_calls import CalledService, PeersCall
+
+_CANCELLED_WITHIN = 5.0  # s. A round figure: an operator has to hear soon that a robot may go on
+
+
+class ProviderGoals(ProviderKind):
+    """Follows goals by the calls, responses and messages of an action; they go on while the link is down.
+
+    Attributes:
+        goals: all that are known.
+        undecided: goals that the server has neither accepted nor rejected, by the client's number.
+    """
+
+    never_idle: ClassVar[bool] = True
+    goals: Goals
+
+    def __init__(self, flow: CallsFlow, *parts: Any) -> None:
+        super().__init__(flow, *parts)
+        self.goals = Goals(flow.route.context.wall)
+        self._status = b""  # the server's last one
+        self._status_sent = False  # in the present opening
+        # Goals that are being cancelled, and since when (s), by the cancel's number, or by goal before its turn.
+        # Also by client, as another one numbers from the start.
+        self._cancels: dict[tuple[PacedClient, int | bytes], tuple[bytes, float]] = {}
+        self.undecided: dict[int, bytes] = {}
+
+    @property
+    def on_end(self) -> str:
+        return more_careful_end((self._route.arming.own.on_end, self._route.arming.peer_on_end, END_NONE))
+
+    @property
+    def keeps_clients(self) -> bool:
+        """Whether goals may have to be cancelled yet."""
+        return bool(self.undecided or self.goals.running())
+
+    def told(self) -> None:
+        """Send the status, as the server does not publish it again for a new opening."""
+        if self._status and not self._status_sent:
+            self._send_status()
+
+    # --- calls, responses and messages
+
+    def called(self, frame: CallFrame, call: PeersCall) -> None:
+        goal = goal_of(frame.content)
+        if goal is None:
+            return
+        if frame.lane == GET_RESULT:
+            call.goal = goal
+        elif frame.lane == SEND_GOAL:
+            self.goals.asked(goal)
+            self.undecided[call.number] = goal
+            if len(self.undecided) > MOST_GOALS:
+                del self.undecided[next(iter(self.undecided))]
+
+    def takes(self, service: CalledService, response: Response, call: PeersCall | None) -> bool:
+        """Read a response, and return whether it is to a cancel of this side's own."""
+        if (cancel := self._cancels.pop((service.client, response.number), None)) is not None:
+            if refuses_cancel(response.payload):
+                self._may_go_on(cancel[0], "its server refuses that")
+            return True
+        if service.lane == SEND_GOAL and (goal := self.undecided.pop(response.number, b"")):
+            self._decided(goal, response.payload)
+        elif service.lane == GET_RESULT and call is not None and call.goal:
+            self.goals.response(GET_RESULT, call.goal, response.payload)
+        return False
+
+    def _decided(self, goal: bytes, payload: bytes) -> None:
+        """Take the server's answer to a goal."""
+        self.goals.response(SEND_GOAL, goal, payload)
+        # Again, because its server knew nothing of it when it got the first cancel.
+        if accepted_by(payload) and self.goals.has_ended(goal):
+            self._cancel((goal,))
+
+    def published(self, lane: int, messages: Sequence[RawMessage]) -> Sequence[RawMessage]:
+        for message in messages:
+            self.goals.message(lane, message.payload)
+        is_open = self._route.life.accepted
+        if lane != STATUS:
+            return messages if is_open else ()
+        self._status, self._status_sent = messages[-1].payload, False
+        if is_open:
+            self._send_status()
+        return ()
+
+    def _send_status(self) -> None:
+        self._status_sent = True
+        self._outbox.put(CallFrame(What.MESSAGE, STATUS, 0, 0, self._status))
+
+    def clients_changed(self) -> None:
+        self.undecided.clear()  # else answers to other calls would be taken for answers to these
+
+    def server_gone(self) -> None:
+        self.goals.server_gone()
+        self.undecided.clear()
+
+    def close(self) -> None:
+        self._status_sent = False
+
+    # --- cancels of this side's, once an arming ends (``on_end: cancel``)
+
+    def disarm(self) -> None:
+        if self.on_end == END_CANCEL:
+            self._cancel(self.goals.end())
+
+    def _cancel(self, goals: Iterable[bytes]) -> None:
+        service = self._clients.services.get(CANCEL_GOAL)
+        for goal in goals:
+            if service is None:
+                self._may_go_on(goal, "its server has gone")
+            else:
+                client = service.client
+                self._cancels[client, goal] = goal, self._route.context.now()
+                client.in_turn(goal, partial(self._send_cancel, client, goal))
+
+    def _send_cancel(self, client: PacedClient, goal: bytes) -> None:
+        self._cancels.pop((client, goal), None)
+        try:
+            self._cancels[client, client.call(cancel_request(goal))] = goal, self._route.context.now()
+        except RosError as error:
+            self._may_go_on(goal, str(error))
+
+    def _may_go_on(self, goal: bytes, why: str) -> None:
+        self._flow.failures.say(f"the robot may go on: goal {goal.hex()} is not cancelled: {why}")
+
+    # --- time
+
+    def act(self, now: float) -> None:
+        """Report cancels without an answer, and give requests for results of goals that are over a timeout."""
+        for call, (goal, asked_at) in tuple(self._cancels.items()):
+            if asked_at < now - _CANCELLED_WITHIN:
+                del self._cancels[call]
+                self._may_go_on(goal, f"its server has not answered for {_CANCELLED_WITHIN:g} s")
+        for number, goal in self._awaited():
+            if self.goals.is_over(goal):
+                self._pending.limit(number, self._flow.call_timeout)
+
+    def _awaited(self) -> list[tuple[int, bytes]]:
+        return [(number, call.goal) for number, call in self._pending.items() if call.goal]
+
+    def snapshot(self) -> tuple[GoalSnapshot, ...]:
+        return self.goals.snapshot({goal for _, goal in self._awaited()})

@@ -1,0 +1,200 @@
+"""The half of a route: what its `Route` asks of it, in the order that stands there, and what all halves write.
+
+Halves are `sender.Sender` and `receiver.Receiver` of a topic, `calls.caller.Caller` and `calls.provider.Provider` of a
+service, an action or a node's parameters. A half reads its route; nothing else does what it does.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeVar
+
+from rsb_bridge.channel.channel import DataChannel
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from functools import partial
+
+    from rsb_bridge.cdr.description import TypeVersion
+    from rsb_bridge.cdr.known_types import Velocity
+    from rsb_bridge.model.snapshot import RouteSnapshot, Stage
+    from rsb_bridge.ros.ros_interface import Endpoint
+    from rsb_bridge.route.blocking_rules import Rules
+    from rsb_bridge.route.crossing import Crossing
+    from rsb_bridge.route.idling import Signs
+    from rsb_bridge.wire.framing import Message
+    from rsb_bridge.wire.records import CallsReport, ReceivedReport, SentReport
+
+ChannelT = TypeVar("ChannelT", bound=DataChannel)
+
+
+class Carried(Generic[ChannelT]):
+    """The messages or calls that a half carries: their type, the nodes they are for or from, and their channel.
+
+    Attributes:
+        type_name, type_hash: of the messages, empty while unknown.
+        endpoints: others' publishers of the topic on the sending side, their subscriptions on the receiving side; of
+            calls, the clients and the servers.
+        channel: of the present opening, or None until it has one.
+    """
+
+    def __init__(self) -> None:
+        self.type_name = self.type_hash = ""
+        self.endpoints: Sequence[Endpoint] = ()
+        self.channel: ChannelT | None = None
+
+    def end(self, reason: str) -> None:
+        """Close the channel, as the opening ends."""
+        if self.channel is not None:
+            channel, self.channel = self.channel, None
+            channel.close(reason)
+
+
+class Facts(Protocol):
+    """The knowledge of a half, for its route's verdict, stages and snapshot."""
+
+    route: Any
+
+    def stages(self) -> tuple[Stage, ...]:
+        """Return the steps of a message's or a call's path."""
+
+    @property
+    def came(self) -> bool:
+        """Whether messages or calls came in this opening, or the receiving side keeps some of a latched topic."""
+
+    @property
+    def came_before(self) -> bool:
+        """Whether messages or calls came in an earlier opening, and none in this one."""
+
+    @property
+    def owing(self) -> bool:
+        """Whether messages or answers are on their way to the other side, or wait for the channel."""
+
+    @property
+    def large_vanish(self) -> bool:
+        """Whether none of its last large datagrams has arrived, while smaller ones do."""
+
+    @property
+    def breaking(self) -> str:
+        """The reason why its channel breaks before anything arrives, or an empty string."""
+
+    @property
+    def on_end(self) -> str:
+        """The message that the receiving side publishes once an arming ends, or an empty string until it names one."""
+
+    @property
+    def velocity(self) -> Velocity | None:
+        """The velocity that the receiving side has published last, or None if it is unknown."""
+
+    @property
+    def message_types(self) -> tuple[TypeVersion, ...]:
+        """The types of its messages; of calls, also the types of their requests and responses."""
+
+    @property
+    def resends(self) -> bool:
+        """Whether it sends lost messages again, as calls and reliable topics do."""
+
+    @property
+    def lifespan(self) -> float:
+        """Lifespan (s) of what it carries, or 0 for none."""
+
+    @property
+    def learns(self) -> bool:
+        """Whether its rate and delays are typical now, so that the usual values are learned from them."""
+
+    def waiting_text(self) -> str:
+        """Return why it carries nothing while its link is away and the association goes on, perhaps with `LASTING`."""
+
+    def snapshot_of(self, common: partial[RouteSnapshot]) -> RouteSnapshot:
+        """Return the snapshot whose common part is given."""
+
+
+class Half(Protocol):
+    """One side's part in carrying what a route carries.
+
+    Attributes:
+        outgoing: whether messages or calls come from ROS here.
+        duplex: whether both sides send.
+        peer_report: type of the reports that the other side's half sends.
+        rules: of its verdict.
+        never_idle: whether it is ticked each second, whatever happens.
+    """
+
+    outgoing: ClassVar[bool]
+    duplex: ClassVar[bool]
+    peer_report: ClassVar[Any]
+    rules: ClassVar[Rules[Any]]
+
+    def __init__(self, route: Any) -> None: ...
+
+    @property
+    def never_idle(self) -> bool: ...
+
+    @property
+    def carried(self) -> Carried[Any]: ...
+
+    @property
+    def facts(self) -> Facts: ...
+
+    # --- events of its route
+
+    def proceed(self) -> None:
+        """Do what can be done next."""
+
+    def open(self) -> None:
+        """Begin a new opening."""
+
+    def close(self, reason: str) -> None:
+        """End the opening, while it still has its id and its channel."""
+
+    def destroy(self) -> None:
+        """Close what outlives openings."""
+
+    def suspend(self) -> None:
+        """Wait, as the link has no connection and its association goes on."""
+
+    def resume(self) -> None:
+        """Go on, as the association has another connection."""
+
+    def disarm(self) -> None:
+        """Stop what moves, before the other side and operators hear of it."""
+
+    def lapse(self) -> None:
+        """Act on the fact that nothing passes for now: it is disarmed, or the sides do not hear each other."""
+
+    def configure(self) -> None:
+        """Take over new limits, or what a changed session says."""
+
+    def may_flow(self) -> None:
+        """Restart all measurements over time, because messages may cross from now on."""
+
+    # --- messages and reports
+
+    def deliver(self, messages: Sequence[Message]) -> None:
+        """Take whole, authentic messages. A half that only sends gets none: the peer does not even have its key."""
+
+    def flush(self) -> None:
+        """Send more, as the channel has room again. A half that sends nothing ignores it."""
+
+    def news(self) -> SentReport | ReceivedReport | CallsReport | None:
+        """Return the report for the peer, or None if the peer knows everything."""
+
+    def reported(self, report: Any) -> None:
+        """Take a report of the peer, a `peer_report`."""
+
+    # --- time
+
+    def measure(self, now: float, crossing: Crossing, *, learns: bool) -> None:
+        """Update what the verdict follows from. Called first in a tick."""
+
+    def act(self, now: float, crossing: Crossing) -> None:
+        """Do what follows from the new verdict. Called last in a tick."""
+
+    @property
+    def passed(self) -> int:
+        """Messages or calls so far, each of which wakes the route."""
+
+    def signs(self) -> Signs:
+        """Return what changes if anything happens to it, apart from messages and the passing of time."""
+
+    def next_change(self, now: float, crossing: Crossing) -> float:
+        """Return when (s) something changes by itself next, `now` if it may at any moment, or infinity."""

@@ -1,0 +1,86 @@
+"""The subscriptions on the receiving side of a topic's route: who hears it, who cannot, and what they ask for."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rsb_bridge.cdr.known_types import CLOCK
+from rsb_bridge.model.qos import match_subscriptions
+from rsb_bridge.model.verdict import Cause
+from rsb_bridge.ros.ros_graph import agreed_type
+from rsb_bridge.route.topic_verdict import audience
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
+
+    from rsb_bridge.model.qos import Qos
+    from rsb_bridge.ros.ros_interface import Endpoint
+    from rsb_bridge.route.route import Route
+    from rsb_bridge.route.source_publishers import SourcePublishers
+    from rsb_bridge.route.topic_flow import TopicFlow
+
+_ASKED_EVERY = 0.9
+"""s until the graph is asked again who subscribes, where their number is the same: less than the second after which
+`link.graph_watch` looks once more, when the graph has settled."""
+_MATCHED_WITHIN = 2.0
+"""s. A round figure: DDS matches a subscription that it lists within milliseconds."""
+
+
+class Listeners:
+    """The subscriptions of one route's topic here.
+
+    Attributes:
+        offered: the QoS of the publishers here, or None if unknown.
+        subscriber_qos: that all of them request together, or None without any.
+        others: other publishers of the topic here, if a subscription does not match.
+        clocks: if it is a clock, the nodes and links that publish it here besides this link.
+        hint: the type and its hash that they have, each empty if unknown.
+    """
+
+    def __init__(self, flow: TopicFlow, outputs: SourcePublishers) -> None:
+        self._route, self._flow, self._outputs = flow.route, flow, outputs
+        self.offered: Qos | None = None
+        self.subscriber_qos: Qos | None = None
+        self.others: Collection[Endpoint] = ()
+        self.clocks: frozenset[str] = frozenset()
+        self.hint = ("", "")
+        self._unmatched_since: float | None = None  # s, since when DDS lists subscriptions and matches none
+        self._asked_at = float("-inf")
+
+    @property
+    def unmatched(self) -> bool:
+        """Whether DDS has listed subscriptions for a while and matches none."""
+        since = self._unmatched_since
+        return since is not None and self._route.context.now() > since + _MATCHED_WITHIN
+
+    def look(self) -> None:
+        """Find the subscriptions of what is published here, unless they are the same ones, most likely."""
+        route, flow = self._route, self._flow
+        matched, now = self._outputs.subscriber_count, route.context.now()
+        if matched:
+            self._unmatched_since = None
+        if matched and matched == flow.audience.count and now - self._asked_at < _ASKED_EVERY:
+            return  # to ask for them costs too much to do so at every change of the graph
+        self._asked_at = now
+        endpoints = flow.carried.endpoints = route.ends.subscriptions(route.remote_topic)
+        if not endpoints:
+            self._unmatched_since = None
+        elif not matched and self._unmatched_since is None:
+            self._unmatched_since = now
+        # The sender's publishers may have left, and an operator there may publish by hand.
+        self.hint = agreed_type(endpoints)
+        self.subscriber_qos = match_subscriptions([each.qos for each in endpoints]) if endpoints else None
+        if self.offered is None:
+            return
+        flow.audience = audience(flow.carried.type_name, self.offered, endpoints, matched)
+        # Only then: it searches the graph, and only a clash needs the result.
+        clash = any(each.cause == Cause.QOS_INCOMPATIBLE for each in flow.audience.deaf)
+        self.others = tuple(route.ends.publishers(route.remote_topic)) if clash else ()
+        self.clocks = _further_clocks(route) if flow.carried.type_name == CLOCK else frozenset()
+
+
+def _further_clocks(route: Route) -> frozenset[str]:
+    """Return the nodes and the links that publish a route's clock here besides it."""
+    nodes = {each.node for each in route.ends.publishers(route.remote_topic) if each.type_name == CLOCK}
+    links = route.context.announcements.publishing_links(route.remote_topic, route.peer.name)
+    return frozenset(nodes | {f"link {each}" for each in links})

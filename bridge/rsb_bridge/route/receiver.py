@@ -1,0 +1,377 @@
+"""The receiving half of a topic's route: it counts, checks and publishes the peer's messages."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import msgspec
+
+from rsb_bridge.cdr.description import TypeClash, TypeVersion
+from rsb_bridge.channel.channel import Counts, ReceivingChannel
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.demands import full_type
+from rsb_bridge.model.qos import parts_of_lease
+from rsb_bridge.model.reason import Reason
+from rsb_bridge.model.snapshot import Level, State
+from rsb_bridge.model.text import sanitize_text
+from rsb_bridge.model.verdict import Cause
+from rsb_bridge.ros.ros_graph import type_hint
+from rsb_bridge.ros.ros_interface import RosError, TopicSpec
+from rsb_bridge.route.arming import without_history
+from rsb_bridge.route.combined_verdict import lasting, record_of
+from rsb_bridge.route.half import Carried
+from rsb_bridge.route.incoming_path import REPORTS_AFTER, IncomingPath
+from rsb_bridge.route.latched import LatchedFullError
+from rsb_bridge.route.ledger import reported_ledger
+from rsb_bridge.route.lifecycle import RouteEvent, RoutePhase
+from rsb_bridge.route.listeners import Listeners
+from rsb_bridge.route.message_check import MessageCheck
+from rsb_bridge.route.receiver_facts import ReceiverFacts, failure_of
+from rsb_bridge.route.rest_message import RestAfterArming
+from rsb_bridge.route.source_publishers import bounded
+from rsb_bridge.route.topic_flow import AgreedEnd, TopicFlow
+from rsb_bridge.route.topic_verdict import OF_RECEIVER
+from rsb_bridge.wire.messages import Describe, Publishers, Ready, Refuse
+from rsb_bridge.wire.records import DeafRecord, ReceivedReport, SentReport
+
+if TYPE_CHECKING:
+    import asyncio
+
+    from rsb_bridge.route.blocking_rules import Rules
+    from rsb_bridge.route.crossing import Crossing
+    from rsb_bridge.route.idling import Signs
+    from rsb_bridge.route.route import Route
+
+_INCOMPLETE_IN_A_ROW = 3
+"""Messages given up incomplete since the last whole one. A round figure: nothing was measured. One may be bad luck."""
+_ANNOUNCED_WITHIN = 0.25
+"""Seconds in which other bridges hear an announcement, which is sent and read within 0.1 s. A round figure."""
+_LATENCIES = ("latency", "latency_p50", "latency_p99")
+
+
+def _with_latencies(
+    before: SentReport | ReceivedReport | None, report: ReceivedReport
+) -> SentReport | ReceivedReport | None:
+    """Return an earlier report with the latencies of a newer one, which are no news without new messages."""
+    if not isinstance(before, ReceivedReport):
+        return before
+    return msgspec.structs.replace(before, **{name: getattr(report, name) for name in _LATENCIES})
+
+
+class Receiver:
+    """Publishes here what the peer sends.
+
+    Attributes:
+        path: the path of the messages, with the counts of the present opening.
+        rest: follows the last message of an arming.
+    """
+
+    peer_report: ClassVar[Any] = SentReport
+    outgoing: ClassVar[bool] = False
+    duplex: ClassVar[bool] = False
+    rules: ClassVar[Rules[Any]] = OF_RECEIVER
+    never_idle = False
+
+    def __init__(self, route: Route) -> None:
+        self.route, self._end = route, AgreedEnd(route)
+        self.carried: Carried[ReceivingChannel] = Carried()
+        self.flow = TopicFlow(route, self.carried)
+        self._last_report: ReceivedReport | None = None  # the last one of the present opening
+        self.rest = RestAfterArming(route, self._end)
+        self.check = MessageCheck(route.context, route.peer.budget.checks)
+        self.path = IncomingPath(self.flow, self.rest, self.check)
+        self.outputs = self.path.outputs
+        self.deliver, self.may_flow = self.path.deliver, self.flow.may_flow
+        self._before: tuple[str, ReceivedReport] | None = None
+        self.listeners = Listeners(self.flow, self.outputs)
+        self._received_before = 0
+        self._expired_before = 0
+        self._alive = False  # a publisher on the sending side, by its liveliness lease
+        self._asserts_again: asyncio.TimerHandle | None = None
+        self.facts = ReceiverFacts(self.flow, self._end, self.path, self.listeners)
+
+    # --- setting up
+
+    def open(self) -> None:
+        """Begin a new opening, without a report of the sender yet."""
+        self.facts.report_now = None
+        # Nobody here hears the type of the last one's publishers, and a participant can publish no second type.
+        if self.listeners.hint[0] not in ("", self.carried.type_name):
+            self.outputs.close()
+        self._last_report = None
+        self.flow.full_at = None
+
+    def close(self, reason: str) -> None:
+        """End the opening, and keep its counts: the sender gets them with the next opening, which counts from 0."""
+        if self.path.unpacker.withdraw(wait=self.route.arming.held):
+            self.path.received += 1
+            self.path.delivered += 1
+        if self.path.received:
+            self._before = self.route.instance, self._received_report()
+            self.path.received = self.path.delivered = 0
+            self.path.report_at = REPORTS_AFTER
+            self.path.dropped.clear()
+        self.path.unpacker.clear()
+        self._alive = False
+        self.outputs.set_alive(False)
+
+    def described(self, description: Describe) -> None:
+        """Make the publishers for the messages that the sender describes, or refuse the route."""
+        # Asked before the event, because the sender describes its messages again whenever it adds a source.
+        first = self.route.life.phase is RoutePhase.ACCEPTED
+        if not self.route.life.handle(RouteEvent.DESCRIBE):
+            return
+        if not self._agrees(description):
+            return
+        type_and_qos = (description.type, description.type_hash, description.qos)
+        if (self.carried.type_name, self.carried.type_hash, self.flow.qos) != type_and_qos:
+            first = True
+            self.outputs.close()
+        elif first:
+            # A new opening numbers its sources from 0. What late joiners get stays with its source.
+            self.outputs.renumber(description.sources)
+        # The sender leaves the history out, too; here nothing depends on its word.
+        qos = without_history(description.qos) if self.route.arming.required else description.qos
+        spec = TopicSpec(self.route.remote_topic, description.type, description.type_hash, bounded(qos))
+        try:
+            self.outputs.make(spec, description.sources)
+            # Now, as a rest that does not fit the type must refuse the route instead of failing when it is needed.
+            self.rest.prepare(spec)
+        except (RosError, LatchedFullError) as error:
+            self.outputs.close()  # a refused topic must not seem to have a publisher
+            self._refuse_type(str(error))
+            return
+        self.carried.type_name, self.carried.type_hash, self.flow.qos = type_and_qos
+        self.listeners.offered = spec.qos
+        self.route.settle_age()
+        self.check.begin(description.type)
+        newest: dict[bytes, int] = {}
+        if first:
+            newest = self.outputs.opened()
+            self._end.log_other(description.type)
+            self.route.log(
+                Level.INFO, EventCode.ROUTE_CONNECTED, f"← {self.route.transport.name} connected ({description.type})"
+            )
+        self.route.peer.send(
+            Ready(route=self.route.id, sources=len(self.outputs), before=self._counted_before(), newest=newest)
+        )
+        self.route.life.handle(RouteEvent.READY)
+        self.route.judge_again()
+        self.route.advance()
+
+    def told_of_publishers(self, publishers: Publishers) -> None:
+        """Take the publishers that the sending side has now."""
+        self.outputs.present(publishers.present)
+        began, self._alive = publishers.alive and not self._alive, publishers.alive
+        self.outputs.set_alive(self._alive)
+        # Other bridges of this domain first have to hear that these are no publishers of a node's.
+        self._assert_liveliness(_ANNOUNCED_WITHIN if began else 0.0)
+
+    def _assert_liveliness(self, after: float = 0.0) -> None:
+        """Have subscriptions here see the publishers of the sending side alive as long as they are, `after` s."""
+        if self._asserts_again is not None:
+            self._asserts_again.cancel()
+            self._asserts_again = None
+        lease = self.flow.qos.liveliness_lease_duration if self.flow.qos is not None else 0.0
+        if not self._alive or not lease:
+            return
+        if after:
+            self._asserts_again = self.route.context.loop.call_later(after, self._assert_liveliness)
+            return
+        count = self.outputs.assert_liveliness() if self.route.crossing.flows else 1
+        self._asserts_again = self.route.context.loop.call_later(parts_of_lease(lease, count), self._assert_liveliness)
+
+    def _counted_before(self) -> ReceivedReport | None:
+        """Return the counts of the last opening with messages, or None if it was with another process of the peer."""
+        if self._before is None or self._before[0] != self.route.peer.instance:
+            return None  # another one has openings of the same ids
+        return self._before[1]
+
+    def _agrees(self, description: Describe) -> bool:
+        """Whether the described type may be published here; otherwise refuse it, now or once the reason is clear."""
+        agreed = full_type(self.route.proposal.type)
+        if agreed and description.type != agreed:  # arming may depend on the type
+            self._refuse_type(TypeClash.NOT_AGREED(there=description.type, agreed=agreed))
+            return False
+        installed = self.route.context.ros.installed_hash(description.type)
+        if not installed or installed == description.type_hash:
+            return True
+        opening = self.route.id
+
+        def refuse(difference: str) -> None:
+            # The answer may take seconds. By then the route may have another opening, with another type.
+            if self.route.id == opening:
+                hashes = TypeClash.HASHES(there=description.type_hash, here=installed)
+                self._refuse_type(TypeClash.VERSIONS(type=description.type, difference=difference or hashes))
+
+        self.route.peer.compare_types(opening, (TypeVersion(description.type, description.type_hash),), refuse)
+        return False
+
+    def _refuse_type(self, reason: str) -> None:
+        # `refuse` ends the opening, and its id with it.
+        route_id = self.route.id
+        self.route.refuse(EventCode.ROUTE_TYPE_DIFFERS, Reason(reason))
+        self.route.peer.send(Refuse(route=route_id, code="type_differs", reason=sanitize_text(reason)))
+
+    def disarm(self) -> None:
+        """Close the publishers, and with them the messages that they hold for slow subscribers; then publish the rest.
+
+        Every end of an arming passes here. Nothing that moves can follow the rest: `deliver` publishes nothing from now
+        on, and a rest's own publisher is not theirs.
+        """
+        self.path.unpacker.withdraw(wait=True)
+        self.outputs.close()
+
+    def lapse(self) -> None:
+        """Publish the rest, as nothing passes any more, at least for now."""
+        if self.rest.message is not None:
+            self.path.unpacker.withdraw(wait=True)
+            self.rest.message.begin()
+            self.route.peer.report_soon(self.route)
+
+    def proceed(self) -> None:
+        """Open the channel once there is a publisher, and look for subscribers."""
+        if not self.outputs:
+            # A sender without publishers takes the type of the subscriptions here.
+            self.listeners.hint = type_hint(self.route.ends, self.route.remote_topic)
+            return
+        if self.route.life.accepted and self.carried.channel is None:
+            # While it is paused, too: the other side may not know yet, and frames without a channel hold up all others.
+            self.route.peer.open_channel(self.route)
+        self.listeners.look()
+
+    def destroy(self) -> None:
+        """Close its publishers. The end of the opening has begun the rest; `rest.close` lets that go on to its end."""
+        self.outputs.close()
+        self.rest.close()
+        self.check.end()
+
+    def resume(self) -> None:
+        self.flow.flows_since = self.route.context.now()  # what waited for the link is not late
+        self.flow.silence.rearm(self.flow.flows_since)  # nor is its topic silent
+
+    def measure(self, now: float, crossing: Crossing, *, learns: bool) -> None:
+        self.flow.latency.tick()
+        self._judge_lateness(now, flows=crossing.flows, learns=learns)
+        self.route.age.update(self.path.received, now)
+        if self.route.link_full is not None:
+            self.flow.full_at = now
+
+    def configure(self) -> None:
+        self.flow.set_stale_after()
+        self.check.set()
+
+    def suspend(self) -> None:
+        """Nothing waits here."""
+
+    def flush(self) -> None:
+        """Nothing is sent here."""
+
+    # --- messages
+
+    @property
+    def passed(self) -> int:
+        return self.path.received + self.route.meter.count
+
+    def _judge_lateness(self, now: float, *, flows: bool, learns: bool) -> None:
+        uncertainty = self.route.peer.stamps.uncertainty
+        # What waited for the link is not late, nor what waits behind that.
+        if uncertainty is None or not flows or self.route.judged.peer.cause == Cause.CATCHING_UP:
+            self.flow.lateness.reset()
+        else:
+            recent = self.flow.latency.recent
+            self.flow.lateness.judge(recent, uncertainty, self.flow.late_after, now, recent, learns=learns)
+
+    def signs(self) -> Signs:
+        listeners = self.listeners
+        audience, report = self.flow.audience, self.facts.report
+        return self.flow.silence.watch.after, report, audience, listeners.others, listeners.clocks
+
+    def next_change(self, now: float, crossing: Crossing) -> float:
+        if self.flow.lateness.since is not None or self.facts.sender_ledger.open:
+            return now
+        counts = self.facts.silence_counts
+        return self.flow.next_change(now, awaited=crossing.flows, counts=counts, polled=self._is_polled)
+
+    @property
+    def _is_polled(self) -> bool:
+        # Histories of publishers that have gone are dropped, and nodes are asked for the description of a type.
+        return self.flow.is_latched or (bool(self.carried.type_name) and self.check.checker is None)
+
+    def act(self, now: float, crossing: Crossing) -> None:
+        self.flow.act(now, awaited=crossing.flows)
+        self.outputs.tick()
+        if self.route.purpose.in_graph:  # else no node knows the type
+            self.check.ask_subscribers(self.route.remote_topic, self.carried.endpoints)
+        expired = self.carried.channel.counts().expired if self.carried.channel is not None else 0
+        if self.path.received != self._received_before:
+            self._received_before, self._expired_before = self.path.received, expired
+        elif expired - self._expired_before >= _INCOMPLETE_IN_A_ROW:
+            self.route.notices.message_error(
+                EventCode.ROUTE_INCOMPLETE,
+                "no message arrives complete, because fragments are lost: use protocol: tcp, or smaller messages",
+            )
+
+    # --- the ledger
+
+    def reported(self, report: SentReport) -> None:
+        """Take the sender's ledger, which is right for both sides."""
+        failed_before = failure_of(self.route.judged.peer)
+        # Until the first report of an opening, the verdict is that this side waits for it.
+        if self.facts.report_now is None:
+            self.route.judge_again()
+        self.facts.report = self.facts.report_now = report
+        self.route.wake()
+        self.route.judged.receive(report.verdict, self.route.context.now())
+        peer = self.route.judged.peer
+        self.route.notices.set_loop(peer.text if peer.cause == Cause.LOOP else "")
+        left_out = peer.cause == Cause.TYPE_CONFLICT and peer.state is not State.DOWN
+        self.route.notices.set_warning(peer.text if left_out else "")
+        failure = failure_of(self.route.judged.peer)
+        if failure and failure != failed_before:
+            self.route.log(Level.ERROR, EventCode.ROUTE_SUBSCRIBE_FAILED, f"on the other side: {failure}")
+        ledger = reported_ledger(report, self.route.context.wall())
+        if ledger is None:
+            self.route.notices.doubt(self.route.peer.instance, "the last plausible ones are shown")
+        else:
+            self.facts.sender_ledger = ledger
+
+    def news(self) -> ReceivedReport | None:
+        """Return the report to send to the peer now, or None if nothing has changed.
+
+        While messages are in flight the same counts are sent again: the sender counts messages as lost that are not in
+        a report after some time.
+        """
+        report = self._received_report()
+        before, self._last_report = self._last_report, report
+        awaits = self.facts.sender_ledger.open and self.route.life.phase is RoutePhase.READY
+        if report == _with_latencies(before, report) and not awaits:
+            return None
+        verdict = lasting(report.verdict, self.route.verdict(), self.route.context.now())
+        return msgspec.structs.replace(report, verdict=verdict)
+
+    def _received_report(self) -> ReceivedReport:
+        counts = self.carried.channel.counts() if self.carried.channel is not None else Counts(newest=None)
+        return ReceivedReport(
+            route=self.route.id,
+            received=self.path.received,
+            delivered=self.path.delivered,
+            expired=counts.expired,
+            incomplete=counts.incomplete,
+            newest=self.path.received + counts.lost if counts.newest is None else counts.newest,
+            dropped=dict(self.path.dropped),
+            subscribers=self.flow.audience.count,
+            subscriber_qos=self.listeners.subscriber_qos,
+            type=self.listeners.hint[0],
+            type_hash=self.listeners.hint[1],
+            latency=self.flow.latency.recent,
+            latency_p50=self.flow.latency.p50,
+            latency_p99=self.flow.latency.p99,
+            jitter=self.flow.latency.jitter,
+            verdict=record_of(self.route.verdict()),
+            nodes=self.flow.audience.nodes,
+            deaf=tuple(DeafRecord(each.node, each.cause, each.reason) for each in self.flow.audience.deaf),
+            came_before=self.facts.came_before,
+            malformed=self.path.malformed,
+            velocity=self.facts.velocity if self.route.arming.required else None,
+        )

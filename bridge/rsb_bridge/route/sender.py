@@ -1,0 +1,455 @@
+"""The sending half of a topic's route: it describes the topic to the peer, subscribes, and keeps the ledger.
+
+Messages don't pass here: `rsb_bridge.route.sending.OutgoingPath` is their path.
+"""
+
+from __future__ import annotations
+
+from itertools import islice
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import msgspec
+
+from rsb_bridge.cdr.description import TypeVersion
+from rsb_bridge.model.audience import NOBODY, Audience, Deaf
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.snapshot import Level
+from rsb_bridge.model.verdict import Cause
+from rsb_bridge.ros.publication_numbers import Untaken
+from rsb_bridge.ros.ros_interface import RosError, TopicSpec
+from rsb_bridge.route.arming import without_history
+from rsb_bridge.route.catching_up import LATE, Backlog
+from rsb_bridge.route.combined_verdict import lasting, node_names, record_of
+from rsb_bridge.route.half import Carried
+from rsb_bridge.route.health import Health
+from rsb_bridge.route.lateness import SendersDelay, delay_of_sender
+from rsb_bridge.route.ledger import OUTAGE, RouteLedger
+from rsb_bridge.route.lifecycle import RouteEvent, RoutePhase
+from rsb_bridge.route.loop_filter import LoopFilter
+from rsb_bridge.route.resolving import Resolver
+from rsb_bridge.route.sender_facts import SenderFacts
+from rsb_bridge.route.sending import OutgoingPath
+from rsb_bridge.route.topic_flow import AgreedEnd, TopicFlow
+from rsb_bridge.route.topic_subscription import TopicSubscription
+from rsb_bridge.route.topic_verdict import OF_SENDER
+from rsb_bridge.wire.headers import publisher_id
+from rsb_bridge.wire.messages import Describe, Publishers, Ready
+from rsb_bridge.wire.records import MOST_PUBLISHERS, ReceivedReport, SentReport
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from rsb_bridge.channel.scheduler import SendingChannel
+    from rsb_bridge.route.blocking_rules import Rules
+    from rsb_bridge.route.crossing import Crossing
+    from rsb_bridge.route.idling import Signs
+    from rsb_bridge.route.route import Route
+    from rsb_bridge.wire.framing import Message
+
+_LIMITED = "they are limited to the messages sent"
+
+
+class Sender:
+    """Takes a topic's messages here and sends them to the peer.
+
+    Attributes:
+        counts: its part of the ledger.
+        backlog: the messages that wait for a link that is away.
+        path: the path of the messages.
+    """
+
+    peer_report: ClassVar[Any] = ReceivedReport
+    outgoing: ClassVar[bool] = True
+    duplex: ClassVar[bool] = False
+    rules: ClassVar[Rules[Any]] = OF_SENDER
+    never_idle = False
+
+    def __init__(self, route: Route) -> None:
+        self.route, self._end = route, AgreedEnd(route)
+        self.carried: Carried[SendingChannel] = Carried()  # to make a `Carried[…]` takes three calls more
+        self.flow = TopicFlow(route, self.carried)
+        self._last_report: SentReport | None = None  # the last one of the present opening
+        self._told: Publishers | None = None  # of the publishers, to the peer
+        self.counts = RouteLedger()
+        self._described: Describe | None = None
+        self.loop_filter = LoopFilter(route)
+        self.backlog = Backlog()
+        self.may_flow = self.flow.may_flow
+        self.path = OutgoingPath(self.flow, self._end, self.counts, self.loop_filter, self.backlog)
+        route.rested.append(self.path.traffic.rested)
+        self.subscription = TopicSubscription(route, self.path, self.loop_filter, self._look_who_is_present)
+        self._unwanted = True  # since the last subscription, messages were not to cross for a while
+        self.resolver = Resolver(route.context, route.proposal, route.judge_again)
+        self.health = Health()
+        self.delays = SendersDelay()
+        self.facts = SenderFacts(
+            self.flow, self._end, self.counts, self.loop_filter, self.backlog, self.path, self.subscription,
+            self.resolver, self.health,
+        )  # fmt: skip
+
+    # --- setting up
+
+    def peer_ready(self, ready: Ready) -> None:
+        """Subscribe: the peer has publishers. Its counts of the previous opening settle the ledger."""
+        # Asked before the event, because the peer answers each description, and only its first answer has this side
+        # subscribe.
+        again = self.route.life.phase is RoutePhase.READY
+        if not self.route.life.handle(RouteEvent.READY):
+            return
+        if not self.counts.settle(ready.before, self.route.peer.instance):
+            self.route.notices.doubt(self.route.peer.instance, _LIMITED)
+        self.loop_filter.table.answered(ready.sources)
+        described = self._described
+        if described is not None and not again:
+            self._end_subscription()
+            self.facts.kept_there = ready.newest.keys()
+            self.route.age.publishers.since = None if described.qos.latched else self.route.context.stamps.now()
+            spec = TopicSpec(self.route.topic, described.type, described.type_hash, described.qos)
+            self.subscription.begin(
+                spec,
+                automatic=self.route.proposal.qos is None,
+                expected_rate=self.route.spec.expected_rate,
+                known=ready.newest,
+            )
+            self.path.histories = self.subscription.histories
+        self.route.advance()
+
+    def proceed(self) -> None:
+        self._set_up()
+        if self.subscription.spec is not None and (released := self.loop_filter.release()):
+            self.path.receive(released)
+
+    def _set_up(self) -> None:
+        """Do the next steps that are possible: look for publishers, describe them, open the channel, subscribe."""
+        if not self.route.life.accepted or self.route.pausing.paused:
+            self.subscription.unsubscribe()
+            self._unwanted = self._unwanted or self.route.pausing.paused
+            self.counts.lose("paused", self.loop_filter.forget())  # nobody wants them when it is resumed
+            return
+        self.path.unpause()
+        self.carried.endpoints = self.loop_filter.update(self.route.topic, self.route.remote_topic)
+        self.resolver.update(self.carried.endpoints)
+        if self._described is not None and self._described.sources != self.loop_filter.table.sources:
+            # A further source needs no new subscription: only its own messages wait for the peer's answer.
+            self._describe(msgspec.structs.replace(self._described, sources=self.loop_filter.table.sources))
+        if self._described is not None and self.loop_filter.outdated(self.flow.qos):
+            self.route.request_reopen(
+                EventCode.ROUTE_SOURCES_CHANGED, "its messages come through other bridges than before"
+            )
+            return
+        self.route.notices.set_loop(self.loop_filter.loop(self.route.topic))
+        if self.route.notices.loop:
+            self._leave_out()
+            return
+        described = self._resolve()
+        if described is None:
+            if self.route.life.phase is RoutePhase.READY:
+                self._look_who_is_present()
+            return
+        if self._described is not None and described.type_hash != self._described.type_hash:
+            # A new opening, so that no message of the old type comes where the new one is published.
+            self.route.request_reopen(
+                EventCode.ROUTE_TYPE_CHANGED, f"its type has changed from {self._described.type} to {described.type}"
+            )
+            return
+        reliable = described.qos.reliability
+        if (
+            self._described is not None
+            and not self.route.transport.reliable
+            and reliable != self._described.qos.reliability
+        ):
+            # Both ends of a channel over datagrams depend on it.
+            self.route.request_reopen(EventCode.ROUTE_RELIABILITY_CHANGED, f"its publishers offer {reliable} now")
+            return
+        if described != self._described:
+            self.subscription.unsubscribe()
+            self.route.life.handle(RouteEvent.DESCRIBE)
+            self._describe(described)
+        if self.route.life.phase is not RoutePhase.READY:
+            return
+        self._look_who_is_present()
+        if self.carried.channel is None:
+            self.route.peer.open_channel(self.route)
+        crossing = self.route.crossing
+        if crossing.flows:
+            self._subscribe()
+        elif crossing.is_held_back:
+            self._leave_out()
+
+    def _leave_out(self) -> None:
+        """Subscribe to nothing, as messages are not to cross."""
+        self.subscription.unsubscribe()
+        self._unwanted = True
+
+    def _describe(self, described: Describe) -> None:
+        self._described = described
+        self.carried.type_name, self.carried.type_hash = described.type, described.type_hash
+        self.flow.qos = described.qos
+        self.counts.lossy = self.route.lossy
+        self.route.settle_age()
+        self.path.compose()  # what is latched, as its QoS says now, is asked its age later
+        self._end.log_other(self.carried.type_name)
+        self.loop_filter.table.described()
+        self._told = None  # the peer may have new outputs
+        self.route.peer.send(described)
+
+    def _resolve(self) -> Describe | None:
+        """Return the description to send, or None if type or QoS is unknown."""
+        resolved = self.resolver.resolve(TypeVersion(self.carried.type_name, self.carried.type_hash), self.loop_filter)
+        self.route.notices.set_warning(resolved.warning if resolved else "")
+        if resolved is None:
+            unresolved, there = self.resolver.unresolved, self.resolver.hint.name
+            if self._described is None or unresolved is None:
+                return None
+            # Nothing that is published now could be sent. Once the publishers are right, it opens with their type.
+            if unresolved.clash:
+                self.route.request_reopen(EventCode.ROUTE_TYPE_CHANGED, str(unresolved))
+            # A participant has one type on a topic: its subscription here would keep an operator's messages from them.
+            elif not self.carried.endpoints and there not in ("", self.carried.type_name):
+                text = f"nobody publishes {self.carried.type_name} any more, and the subscriptions there are to {there}"
+                self.route.request_reopen(EventCode.ROUTE_TYPE_CHANGED, text)
+            return None
+        sources, qos = self.loop_filter.table.sources, resolved.qos
+        if self.route.arming.required:
+            qos = without_history(qos)
+        return Describe(route=self.route.id, type=resolved.type, type_hash=resolved.type_hash, qos=qos, sources=sources)
+
+    def _subscribe(self) -> None:
+        if self.subscription.spec is None or self.subscription.active:
+            return
+        try:
+            self.subscription.subscribe(missed=not self._unwanted)
+        except RosError as error:
+            self.route.request_reopen(EventCode.ROUTE_SUBSCRIBE_FAILED, str(error), Level.ERROR)
+            return
+        self._unwanted = False
+        self.flow.silence.rearm(self.route.context.now())
+        self.route.judge_again()
+        self.route.log(
+            Level.INFO, EventCode.ROUTE_CONNECTED, f"→ {self.route.transport.name} connected ({self.carried.type_name})"
+        )
+
+    def _end_subscription(self) -> None:
+        self._told = self.path.histories = None
+        self.counts.drop("link lost", self.subscription.close() + self.path.clear_later())
+
+    def _look_who_is_present(self) -> None:
+        """Tell the peer of the publishers: whether one is alive, and the depths of the histories that are not gone."""
+        spec = self.subscription.spec
+        if spec is None or not (spec.qos.latched or spec.qos.liveliness_lease_duration):
+            return
+        present = {}
+        if (histories := self.subscription.histories) is not None:
+            gids = {endpoint.gid for endpoint in self.carried.endpoints}
+            histories.forget_gone(gids)
+            depths = histories.depths()
+            ids = islice(map(publisher_id, gids), MOST_PUBLISHERS)
+            present = {each: depths.get(each, 0) for each in ids}
+        told = Publishers(route=self.route.id, present=present, alive=self.subscription.alive)
+        if told != self._told:
+            self._told = told
+            self.route.peer.send(told)
+
+    def disarm(self) -> None:
+        """Drop the waiting messages, here and at the peer."""
+        self._leave_out()
+        self.counts.lose("disarmed", self.loop_filter.forget())
+        self.counts.drop("disarmed", self.path.clear())
+        self.counts.disarmed()
+
+    def open(self) -> None:
+        """Begin a new opening."""
+        self._last_report = None
+        # What was refused had nothing to lose before this opening.
+        self._unwanted = self._unwanted or bool(self.route.reopening.refused)
+        self.flow.full_at = None
+        self.delays = SendersDelay()
+        self.loop_filter.clear()
+        self.counts.opened(self.route.id, self.route.peer.instance)
+
+    def close(self, reason: str) -> None:
+        """End the opening. Waiting messages are lost; messages in flight are settled with the next opening."""
+        self._end_subscription()
+        self._unwanted = self._unwanted or self.route.arming.required
+        self.backlog.end()
+        self._described = None
+        self.counts.lose("link lost", self.loop_filter.forget())
+        self.counts.drop("link lost", self.path.clear())
+        self.loop_filter.clear()
+        self.counts.closed()
+        self.facts.forget()
+        self.flow.audience = NOBODY
+
+    # --- messages
+
+    def signs(self) -> Signs:
+        subscription = self.subscription
+        lost = subscription.numbers.counts[Untaken.LOST]
+        return self.flow.silence.watch.after, self.facts.report, self.resolver.unresolved, subscription.failure, lost
+
+    def next_change(self, now: float, crossing: Crossing) -> float:
+        if self.flow.lateness.since is not None or not self.path.traffic.still:
+            return now
+        if self.backlog.exists and self.route.peer.linked:
+            return now
+        awaited = crossing.flows or self.facts.lacks_publisher(crossing)
+        counts = self.facts.silence_counts
+        changes = self.flow.next_change(now, awaited=awaited, counts=counts, polled=self._is_polled)
+        return min(changes, self.health.next_change(now))
+
+    @property
+    def _is_polled(self) -> bool:
+        # A topic of a similar name may appear, DDS does not tell when it matches a publisher at last, and the link may
+        # get another profile.
+        return not self.carried.endpoints or self.subscription.awaits_match or self._profile_limits
+
+    @property
+    def _profile_limits(self) -> bool:
+        """Whether the link profile's limit is for it: it has none and may lose messages."""
+        return (
+            self.flow.qos is not None
+            and self.flow.qos.reliability == "best_effort"
+            and not self.route.proposal.max_rate
+        )
+
+    def measure(self, now: float, crossing: Crossing, *, learns: bool) -> None:
+        flows, ledger = crossing.flows, self.facts.ledger
+        awaited = self.subscription.receives if flows else self.facts.lacks_publisher(crossing)
+        # A latched topic may be silent for any time, unless an operator expects a rate.
+        usual = None if self.flow.is_latched else self.route.meter.usual_rate
+        last = self.flow.silence.watch.quiet_since
+        self.health.judge(
+            self.route,
+            ledger,
+            now,
+            self.carried.endpoints,
+            usual_rate=usual,
+            quiet_since=last,
+            flows=flows,
+            awaited=awaited,
+        )
+        self.flow.latency.tick()
+        self._judge_lateness(now, flows=flows, learns=learns)
+        self.route.age.update(self.counts.offered, now)
+        if self.route.link_full is not None:
+            self.flow.full_at = now
+
+    def act(self, now: float, crossing: Crossing) -> None:
+        self.route.limit.set_profile_rate((self.route.peer.profile.max_rate or 0.0) if self._profile_limits else 0.0)
+        self.flow.act(now, awaited=crossing.flows or self.facts.lacks_publisher(crossing))
+        self.subscription.tick()
+        if self.route.age.publishers.since is None and crossing.flows and not self.flow.is_latched:
+            self._tick_clocks()
+
+    def _tick_clocks(self) -> None:
+        """Open the route again if messages seem old since this side's clock was set: their publisher's may lag."""
+        late = self.route.age.late()
+        # Only a new subscription has no message from before it, so that an earlier stamp proves a wrong clock.
+        if late is not None and late.cause is Cause.PUBLISHER_STAMPS_OLD:
+            self.route.request_reopen(
+                EventCode.ROUTE_CLOCK_SET, "this side's clock was set, and publishers' stamps seem old"
+            )
+
+    def suspend(self) -> None:
+        self.backlog.begin(self.counts.dropped[OUTAGE])
+
+    def resume(self) -> None:
+        self.path.resume()
+        self.health.losses.reset()  # the link was silent before it was away: what it dropped then is no overload
+
+    def _judge_lateness(self, now: float, *, flows: bool, learns: bool) -> None:
+        unreported = self.delays.unreported(self.counts.sent_now, self.counts.reported_now, now)
+        if self.route.lossy:  # unreported datagrams may be lost, unless pings by a stream are held up, too
+            unreported = min(unreported, self.route.peer.keepalive.ping_wait)
+        own = max(self.path.waits(now), delay_of_sender(unreported, self.route.peer.keepalive.ping_delay))
+        if self.backlog.exists and self.route.peer.linked:
+            self.backlog.judge(self.facts.ledger, now, held_up=own > LATE)
+        if not flows or self.backlog.exists:  # what waited for the link is not late
+            self.flow.lateness.reset()
+            return
+        measured = self.delays.measure(own, self.route.peer.clock.uncertainty or 0.0, now)
+        self.flow.lateness.judge(self.delays.least, 0.0, self.flow.late_after, now, measured, own=own, learns=learns)
+
+    @property
+    def passed(self) -> int:
+        return self.counts.offered + self.route.meter.count
+
+    def lapse(self) -> None:
+        """Nothing moves here."""
+
+    def destroy(self) -> None:
+        """Nothing outlives openings."""
+
+    def deliver(self, messages: Sequence[Message]) -> None:
+        """Gets none: the peer does not even have its key."""
+
+    def flush(self) -> None:
+        self.path.flush()
+
+    def configure(self) -> None:
+        self.flow.set_stale_after()
+        self.path.compose()
+
+    # --- the ledger
+
+    def reported(self, report: ReceivedReport) -> None:
+        """Take the peer's counts of the present opening."""
+        if report.malformed not in ("", self.facts.malformed):
+            whose = f"{self.carried.type_name} to {self.route.peer.name}"
+            text = f"malformed {whose}: {report.malformed}: see the node here that sent it"
+            self.route.notices.message_error(EventCode.ROUTE_MALFORMED, text)
+        self.facts.report = report
+        self.route.wake()
+        deaf = tuple(Deaf(each.node, each.cause, each.reason) for each in report.deaf)
+        self.flow.audience = Audience(max(0, report.subscribers), report.nodes, deaf)
+        self.route.judged.receive(report.verdict, self.route.context.now())
+        delay = self.delays.with_report(self.route.peer.keepalive.ping_delay)
+        if not self.counts.reported(report, self.route.context.now(), delay):
+            self.route.notices.doubt(self.route.peer.instance, _LIMITED)
+        if self.counts.received_now:
+            self.route.losses.arrived()
+        if (report.type, report.type_hash) != self.resolver.hint:
+            self.resolver.hint = TypeVersion(report.type, report.type_hash)
+            self.route.advance()
+        if report.latency is not None:
+            self.delays.receive(report.latency, self.route.context.now())
+        self.flow.latency.take_reported(report.latency_p50, report.latency_p99, report.jitter)
+
+    def receiver_left(self) -> None:
+        """Take the peer's last report for final, as it leaves with a goodbye."""
+        self.counts.receiver_left()
+
+    def news(self) -> SentReport | None:
+        """Return the report to send to the peer now, or None if nothing has changed."""
+        ledger = self.facts.ledger
+        report = SentReport(
+            route=self.route.id,
+            offered=ledger.offered,
+            delivered=ledger.delivered,
+            throttled=ledger.throttled,
+            expired=ledger.expired,
+            waiting=ledger.waiting,
+            in_flight=ledger.in_flight,
+            dropped=ledger.dropped,
+            unknown=ledger.unknown,
+            lost_in_dds=ledger.lost_in_dds,
+            missed_while_down=ledger.missed_while_down,
+            unsubscribed=ledger.unsubscribed,
+            again=ledger.again,
+            publishers=len(self.carried.endpoints),
+            publisher_qos=self.resolver.publisher_qos,
+            subscribed=self.subscription.receives,
+            verdict=record_of(self.route.verdict()),
+            nodes=node_names(self.carried.endpoints),
+        )
+        if report == self._last_report:
+            return None
+        self._last_report = report
+        now = self.route.context.now()
+        # With these, each report would differ from the one before.
+        verdict, waited = lasting(report.verdict, self.route.verdict(), now), self.path.waits(now)
+        return msgspec.structs.replace(report, verdict=verdict, waited=waited)
+
+    def takes(self, gid: bytes) -> bool:
+        """Whether messages of a publisher here are taken now, or held until their origin is found out."""
+        return self.subscription.receives and not self.loop_filter.table.left_out(gid)
