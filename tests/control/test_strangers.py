@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import socket
+import struct
 import threading
 import weakref
 from typing import TYPE_CHECKING, get_args
@@ -312,7 +313,7 @@ def test_refused_console_is_freed_at_once(machine: Machine, monkeypatch: pytest.
 
     def record(self: sealed.SealedConsole, transport: asyncio.BaseTransport) -> None:
         connection_made(self, transport)
-        made.extend((weakref.ref(self), weakref.ref(self._machine)))
+        made.extend(map(weakref.ref, (self, self._machine, transport)))
 
     replaced.CONSOLE_CONNECTED.set(monkeypatch, record)
     robot = Reachable(machine)
@@ -324,7 +325,10 @@ def test_refused_console_is_freed_at_once(machine: Machine, monkeypatch: pytest.
             with contextlib.suppress(OSError):  # it may be closed already
                 stranger.socket.shutdown(socket.SHUT_WR)
             assert stranger.is_closed()
-    eventually(lambda: len(made) == 2 * len(said) and not any(each() for each in made), what="freed")
+    with Stranger(robot.port) as stranger:
+        eventually(lambda: len(made) == 3 * (len(said) + 1), what="all have come")
+        stranger.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))  # it resets
+    eventually(lambda: not any(each() for each in made), what="freed")
     assert robot.access.strangers.used == 0
 
 

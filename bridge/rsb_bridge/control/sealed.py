@@ -29,7 +29,7 @@ from rsb_bridge.model.names import fingerprint_of
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.wording import Wording
-from rsb_bridge.transport.streams import OpenNetworkTransport
+from rsb_bridge.transport.streams import OpenNetworkTransport, break_cycles
 from rsb_bridge.wire.connection import RECORD_CONTENT, OperatorConsole, OperatorEngine
 from rsb_bridge.wire.events import Admitted, Failed, OperatorOpened, RefusalCode, StreamRefused
 from rsb_bridge.wire.preamble import Refusal
@@ -235,6 +235,7 @@ class SealedConsole(PendingConnection, asyncio.Protocol):
         self._detach()
         self._stop_waiting()
         self._acceptor.remove(self)
+        break_cycles(self._transport)
 
     # --- before it is attached
 

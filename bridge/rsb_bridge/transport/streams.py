@@ -284,14 +284,23 @@ class Stream(asyncio.Protocol):
     def connection_lost(self, error: Exception | None) -> None:
         if self._lingering is not None:
             self._lingering.cancel()
-        if self._transport is not None and hasattr(self._transport, "_read_ready_cb"):
-            self._transport._read_ready_cb = None  # asyncio's own method, bound: a cycle, which would be freed late
+        if self._transport is not None:
+            break_cycles(self._transport)
         self._transport = None
         if self.when_gone is not None:
             self.when_gone()
         # Nothing comes after this event, and nothing leads back to the link, which would be freed late.
         handler, self.handler = self.handler, StreamHandler()
         handler.closed(self._reason or (broken(error) if error else Reason("closed", EndCode.BROKE)))
+
+
+def break_cycles(transport: asyncio.BaseTransport) -> None:
+    """Have a transport of asyncio whose connection is lost be freed with its last reference."""
+    # Methods of its own, bound, and so cycles that only the collector would free. Python 3.12 has the second one, and
+    # breaks both if it closes the transport, but not if it aborts it or the other end resets it.
+    for name in ("_read_ready_cb", "_write_ready"):
+        if name in vars(transport):
+            setattr(transport, name, None)
 
 
 def _read_at_a_time(transport: asyncio.BaseTransport | None, size: int) -> None:

@@ -124,11 +124,11 @@ def _by_alone(database: sqlite3.Connection, pair: TopicPair, offset: int, covere
     found = "SELECT max(first) FROM (SELECT min(time) AS first FROM near UNION ALL SELECT min(time) FROM far)"
     begin = max(covered[0], (database.execute(found).fetchone()[0] or 0) + SECOND)
     near, far = database.execute(
-        "SELECT (SELECT count(*) FROM near WHERE time BETWEEN ?1 AND ?2"
+        "SELECT (SELECT count(*) FROM near WHERE time BETWEEN :begin AND :end"
         " AND NOT EXISTS (SELECT * FROM far WHERE far.key = near.key)),"
-        " (SELECT count(*) FROM far WHERE time BETWEEN ?1 AND ?2"
+        " (SELECT count(*) FROM far WHERE time BETWEEN :begin AND :end"
         " AND NOT EXISTS (SELECT * FROM near WHERE near.key = far.key))",
-        (begin, covered[1]),
+        {"begin": begin, "end": covered[1]},
     ).fetchone()
     if near > _CLEARLY * far:
         return Direction("to_far", "alone")
@@ -149,9 +149,9 @@ def _differences(database: sqlite3.Connection, pair: TopicPair) -> _Differences 
         "CREATE TEMP TABLE difference AS SELECT far.time - near.time AS ns"
         " FROM (SELECT key, min(time) AS time FROM near GROUP BY key HAVING count(*) = 1) AS near"
         " JOIN (SELECT key, min(time) AS time FROM far GROUP BY key HAVING count(*) = 1) AS far USING (key)"
-        " WHERE near.time > (SELECT min(time) + ?1 FROM near) AND far.time > (SELECT min(time) + ?1 FROM far)",
+        " WHERE near.time > (SELECT min(time) + :after FROM near) AND far.time > (SELECT min(time) + :after FROM far)",
         # A recorder that comes late gets latched messages at once, which says nothing of when they were sent.
-        (SECOND if pair.near.offer.latched is True or pair.far.offer.latched is True else -1,),
+        {"after": SECOND if pair.near.offer.latched is True or pair.far.offer.latched is True else -1},
     )
     count = database.execute("SELECT count(*) FROM difference").fetchone()[0]
     if not count:
