@@ -130,14 +130,15 @@ def test_answers_keep_lines_other_texts_have_one() -> None:
 
 def test_data_of_too_many_levels_is_refused() -> None:
     refused = 0
-    for levels in range(800, 1100):
+    depths = range(500, 1600)  # Pythons take 750 to 1000, with few left in a test, and their decoder up to 1500
+    for levels in depths:
         frames = protocol.frames_to_console()
         try:
             for message in frames.feed(pack_frame(msgspec.msgpack.encode(protocol.Reply(1, nested(levels))))):
                 clean(message)
         except ControlProtocolError:
             refused += 1
-    assert 0 < refused < 300
+    assert 0 < refused < len(depths)
 
 
 def nested(levels: int) -> msgspec.Raw:

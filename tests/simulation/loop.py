@@ -20,7 +20,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Coroutine, Generator
 from random import Random
-from typing import Any, Protocol, TypeVar, TypeVarTuple
+from typing import Any, Protocol, TypeVar, TypeVarTuple, cast
 
 T = TypeVar("T")
 Ts = TypeVarTuple("Ts")
@@ -289,8 +289,10 @@ class SimulatedLoop(asyncio.AbstractEventLoop):
         *,
         name: str | None = None,
         context: contextvars.Context | None = None,
+        **options: Any,
     ) -> asyncio.Task[T]:
-        task = asyncio.Task(coro, loop=self, name=name, context=context)
+        # Their types differ from Python to Python: tasks take fewer kinds than loops, and newer ones more options.
+        task = asyncio.Task(cast("Coroutine[Any, Any, T]", coro), loop=self, name=name, context=context, **options)
         program = PROGRAM.get(None) if context is None else context.get(PROGRAM)
         if program is not None:
             program.add_task(task)
