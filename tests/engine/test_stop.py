@@ -11,6 +11,7 @@ from concurrent.futures import ThreadPoolExecutor, wait
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.support import constants
 from tests.support.bridge import STOPS_WITHIN, carries, happened, link, linked, outgoing
 from tests.support.domain import text
 from tests.support.inside import ledger_of
@@ -66,8 +67,11 @@ def test_what_was_measured_ends_with_the_link(bridge: Bridge) -> None:
 
 
 @pytest.mark.parametrize("stopped", ["server", "client"])
-def test_a_peer_that_is_frozen(stopped: str, bridge: Bridge, programs: Programs, robot: Domain, pc: Domain) -> None:
+def test_a_peer_that_is_frozen(
+    stopped: str, bridge: Bridge, programs: Programs, robot: Domain, pc: Domain, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """SIGSTOP, with messages that wait for it in queues and sockets."""
+    constants.DEAD_AFTER.set(monkeypatch, 60.0)  # the link is up however long its queues take to be full
     topic = Topic("/chat", "transmit" if stopped == "server" else "receive", type="String", qos=10)
     near, far = (robot, pc) if stopped == "server" else (pc, robot)
     there, out = far.listener("/chat"), near.publisher("/chat")
@@ -87,9 +91,11 @@ def test_a_peer_that_is_frozen(stopped: str, bridge: Bridge, programs: Programs,
         """Whether its queue is full: a snapshot's ledger may come after the link's end."""
         for _ in range(10):
             out.publish(text("x" * 500_000))
-        return "queue full" in ledger_of(outgoing(engine, "/chat")).dropped
+        # The cause depends on the machine: from a second of silence on, what is dropped counts as an outage.
+        return any(ledger_of(outgoing(engine, "/chat")).dropped.values())
 
     eventually(full)
+    assert linked(engine)
     stops(engine)
 
 
