@@ -27,6 +27,9 @@ if TYPE_CHECKING:
     from tests.support.relay import Relay
 
 
+pytest_plugins = ("tests.support.lost_workers",)
+
+
 def pytest_configure(config: pytest.Config) -> None:
     """Have the cycle collector run less often: a Textual app makes so many objects that it took 15 % of the time.
 
