@@ -47,7 +47,7 @@ def main() -> int:
     run("rm", "-rf", str(folder))
     run("git", "clone", "--quiet", str(ROOT), str(clone))
     run("make", "--directory", str(clone), ".venv/.installed", f"PYTHON={sys.executable}")
-    make = ["make", "test", f"PYTHON={sys.executable}", *([f"ALL={arguments.only}"] if arguments.only else ())]
+    make = ["make", "test", "NET=", f"PYTHON={sys.executable}", *([f"ALL={arguments.only}"] if arguments.only else ())]
     say(f"{shlex.join(make)}, {arguments.times} times, at {git(clone, 'rev-parse', '--short', 'HEAD')}")
     failures: Counter[str] = Counter()
     with busy_loops(arguments.busy), stalls(arguments.stall):

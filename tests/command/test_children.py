@@ -25,7 +25,8 @@ PLANTED = "import pathlib\npathlib.Path({marker!r}).touch()\nraise ImportError('
 STARTS = {"Popen", "run", "call", "check_call", "check_output", "create_subprocess_exec", "create_subprocess_shell"}
 IN_PYTHON = ("fork", "forkpty", "system", "popen", "startfile", "exec", "spawn", "posix_spawn")
 MAY_START = {
-    ".ci/core.py", ".ci/install.py", "extras/rsb_extras/doctor/machine.py", "extras/rsb_extras/doctor/ros_setup.py",
+    ".ci/core.py", ".ci/install.py", ".ci/net.py", ".ci/pythons.py",
+    "extras/rsb_extras/doctor/machine.py", "extras/rsb_extras/doctor/ros_setup.py",
     "extras/rsb_extras/doctor/session_needs.py", "extras/rsb_extras/exporters/fault_hook.py",
     "extras/rsb_extras/bench/loopback.py", "extras/rsb_extras/pictures/confinement_check.py",
     "extras/rsb_extras/pictures/renderer.py",
