@@ -152,13 +152,13 @@ class TerminalApp(App[ReturnType]):
         self.set_keymap(self.preferences.keymap)
         if isinstance(self._driver, ConsoleDriver):
             self.input_gate.pulse = self._driver.pulse
-            self.set_interval(ASKED_EVERY, self._ask_terminal)
+            self.set_interval(ASKED_EVERY, self._look_at_terminal)
 
-    def _ask_terminal(self) -> None:
-        if isinstance(self._driver, ConsoleDriver) and (
-            self.needs_young_keys or any(map(is_guarded, self.screen_stack))
-        ):
-            self._driver.ask()
+    def _look_at_terminal(self) -> None:
+        if isinstance(self._driver, ConsoleDriver):
+            self._driver.catch_up()
+            if self.needs_young_keys or any(map(is_guarded, self.screen_stack)):
+                self._driver.ask()
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
         """Disable the actions that change something while read-only."""

@@ -248,6 +248,29 @@ def test_stuck_terminal_stalls_neither_bridge_nor_end(pair: Pair, tmp_path: Path
         assert terminal.exit_code(read=False) == 0
 
 
+def test_last_frame_comes_once_terminal_reads() -> None:
+    """Nothing on the screen changes by itself, so no other frame brings what this one had."""
+    with Terminal("tests.console.scripted_console", "--empty", size=(100, 30), forked=True) as terminal:
+        terminal.wait_for("\x1b[30;1H")
+        for step in range(60):  # more than the line holds
+            terminal.resize(100 + step % 2, 30)
+            time.sleep(0.02)
+        terminal.resize(100, 36)
+        eventually(lambda: rests(terminal.pid), what="all is drawn")
+        terminal.wait_for("\x1b[36;1H")
+
+
+def rests(pid: int) -> bool:
+    """Whether a process has nothing to do for a while."""
+
+    def ticks() -> int:
+        return sum(map(int, Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[11:13]))
+
+    before = ticks()
+    time.sleep(0.5)
+    return ticks() - before <= 2
+
+
 def test_crash_of_console_leaves_bridge_running(pair: Pair, tmp_path: Path) -> None:
     script = tmp_path / "crashing.py"
     script.write_text(CRASHING)

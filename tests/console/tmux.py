@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import signal
 import subprocess
 import time
 from pathlib import Path
@@ -17,7 +18,7 @@ class Tmux:
         self("set-option", "-g", "mouse", "on")
 
     def __call__(self, *words: str) -> str:
-        environ = os.environ | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+        environ = os.environ | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "PYTHONFAULTHANDLER": "1"}
         command = ["tmux", "-S", self._socket, "-f", "/dev/null", *words]
         return subprocess.run(command, env=environ, text=True, capture_output=True, check=True, timeout=180).stdout
 
@@ -34,7 +35,9 @@ class Tmux:
         """Wait until `words` are there, or no more."""
         deadline, pause = time.monotonic() + seconds, 0.05
         while (words in (picture := self.picture)) is not there:
-            assert time.monotonic() < deadline, f"{words!r} not {there} within {seconds} s:\n{picture}"
+            assert time.monotonic() < deadline, (
+                f"{words!r} not {there} within {seconds} s:\n{picture}\n{self._what_it_does()}"
+            )
             time.sleep(pause)
             pause = min(1.3 * pause, 0.2)  # each look starts a process
         return picture
@@ -48,6 +51,21 @@ class Tmux:
             if "y yes" in self.picture:
                 self("send-keys", "y")
             time.sleep(0.5)
+
+    def _what_it_does(self) -> str:
+        """Return the state of the program's processes, and end them with their threads' stacks, if they are Python's.
+
+        An app has them in the log that takes its errors.
+        """
+        shell = self("display-message", "-p", "#{pane_pid}").strip()
+        listed = ["ps", "-o", "pid,stat,wchan,etime,time,args", "--sid", shell]
+        states = subprocess.run(listed, text=True, capture_output=True, check=False).stdout
+        for pid in (line.split()[0] for line in states.splitlines()[1:] if "python" in line and "sh -c" not in line):
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(int(pid), signal.SIGABRT)
+        time.sleep(1)  # it has to write them
+        logs = (path.read_text() for path in Path(os.environ["XDG_STATE_HOME"]).rglob("output.txt"))
+        return "\n".join((states, self.picture, *logs))
 
     def __enter__(self) -> "Tmux":
         return self

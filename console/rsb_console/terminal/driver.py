@@ -249,14 +249,21 @@ class ConsoleDriver(LinuxDriver):
 
     def write(self, data: str) -> None:
         """Pass `data` on to the terminal, or drop it while the queue is full."""
-        if self.is_behind and self._queue.empty():
-            self.is_behind = False
-            self.losses += 1
-            self._app.call_later(self._app.refresh)
+        self.catch_up()
         try:
             self._queue.put_nowait(data)
         except Full:
             self.is_behind = True
+
+    def catch_up(self) -> None:
+        """Have the whole screen redrawn if frames were dropped and the terminal reads again.
+
+        The app calls this now and then, too: the last frame may be among them, with no other to come.
+        """
+        if self.is_behind and self._queue.empty():
+            self.is_behind = False
+            self.losses += 1
+            self._app.call_later(self._app.refresh)
 
     # --- the terminal's pulse
 
