@@ -12,23 +12,22 @@ from importlib.util import find_spec
 from itertools import groupby
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from rsb_extras.pictures.picture import MOST_COLUMNS, MOST_ROWS
-from rsb_extras.pictures.picture_rows import Part, UnreadableError, rgb_of
+from rsb_extras.pictures.graphics import frame_of
+from rsb_extras.pictures.picture_rows import Part, rgb_of, scaled
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.typing import NDArray
 
-    from rsb_extras.pictures.picture import Pixels
+    from rsb_extras.pictures.graphics import Extent
+    from rsb_extras.pictures.picture import Pixels, Wish
     from rsb_extras.pictures.picture_rows import Row
 
     Array = NDArray[Any]
 
 RAMP = " .:-=+*#%@"
 """Characters for an image on a terminal without colours, from dark to light."""
-_MOST_PIXELS = MOST_COLUMNS * MOST_ROWS * 12
-"""Pixels of an image that anybody asks for: 2 × 6 in a cell. A larger one comes from a hostile side."""
 _QUADRANTS = " ▘▝▀▖▌▞▛▗▚▐▜▄▙▟█"
 _SHADES = "░▒▓"
 """A quarter, a half and three quarters of the foreground."""
@@ -85,26 +84,26 @@ def wished_pixels(colours: int, *, sextants: bool) -> tuple[int, int]:
     return (2, 6) if sextants else (2, 4)
 
 
-def image_rows(pixels: Pixels, width: int, height: int, *, colours: int, sextants: bool) -> list[Row]:
-    """Return an image as rows of characters, in its own proportions.
+def image_rows(pixels: Pixels, wish: Wish, *, colours: int, sextants: bool) -> list[Row]:
+    """Return an image as rows of characters, in the place that it has in pixels, too (`frame_of`).
+
+    It may have been made for other cells: for pixels, or for the size before.
 
     Args:
-        width: cells at most.
-        height: cells at most.
+        wish: gives the area and the shape of its cells.
         colours: the terminal's. With 16, shades mix them; without, characters show the brightness.
         sextants: whether its font has the blocks of Unicode 13, six to a cell.
 
     Raises:
         UnreadableError: the other side's image is damaged.
     """
-    if pixels.width * pixels.height > _MOST_PIXELS:
-        raise UnreadableError("an image is larger than any that blocks are asked for")
-    if not colours:
-        return _brightness(pixels)
-    if find_spec("numpy") is None:
-        return _half_blocks(pixels)
+    frame = frame_of(pixels, wish)
+    if not colours or find_spec("numpy") is None:
+        height = max(1, round(2 * frame.height))
+        rgb = scaled(rgb_of(pixels), pixels.width, pixels.height, frame.columns, height)
+        return (_half_blocks if colours else _brightness)(rgb, frame.columns, height)
     shapes = _shapes(sextants=sextants)
-    cells = _cells(pixels, shapes, width, height)
+    cells = _cells(pixels, frame, shapes)
     return _few_colours(cells, shapes) if colours <= _FEW else _many_colours(cells, shapes, colours)
 
 
@@ -151,18 +150,34 @@ def _sextant(bits: int) -> str:
     return {0b010101: "▌", 0b101010: "▐"}.get(bits) or chr(0x1FB00 + bits - 1 - (bits > 0b010101) - (bits > 0b101010))
 
 
-def _cells(pixels: Pixels, shapes: _Shapes, width: int, height: int) -> Array:
+def _cells(pixels: Pixels, frame: Extent, shapes: _Shapes) -> Array:
     """Return the pixels of each cell: rows, columns, pixels, and red, green and blue."""
     import numpy as np  # noqa: PLC0415
 
     image = np.frombuffer(rgb_of(pixels), np.uint8).reshape(pixels.height, pixels.width, 3)
-    across, down = shapes.across, shapes.down
-    columns, rows = min(width, -(-pixels.width // across)), min(height, -(-pixels.height // down))
-    image = image[: rows * down, : columns * across]
+    across, down, columns, rows = shapes.across, shapes.down, frame.columns, frame.rows
+    size = max(1, round(frame.height * down)), max(1, round(frame.width * across))
+    for axis, count in enumerate(size):
+        image = _averaged(image, axis, count)
     # The rest of the last cells is like their edge.
     rest = ((0, rows * down - image.shape[0]), (0, columns * across - image.shape[1]), (0, 0))
     image = np.pad(image, rest, mode="edge")
     return image.reshape(rows, down, columns, across, 3).swapaxes(1, 2).reshape(rows, columns, down * across, 3)
+
+
+def _averaged(image: Array, axis: int, count: int) -> Array:
+    """Return an image with so many rows (axis 0) or columns, which repeat it, or are the means of several."""
+    import numpy as np  # noqa: PLC0415
+
+    length = image.shape[axis]
+    if length == count:
+        return image
+    starts = np.arange(count) * length // count
+    widths = np.maximum(1, np.diff(starts, append=length))
+    shape = [1] * image.ndim
+    shape[axis] = count
+    means: Array = np.add.reduceat(image, starts, axis, dtype=np.float32) / widths.reshape(shape)
+    return means
 
 
 def _fitted(cells: Array, masks: Array) -> tuple[Array, Array, Array, Array]:
@@ -354,10 +369,10 @@ def _oklab(rgb: Array) -> Array:
 # -- without numpy, or without colours --------------------------------------------------------------------------------
 
 
-def _half_blocks(pixels: Pixels) -> list[Row]:
-    width, rgb, line = pixels.width, rgb_of(pixels), 3 * pixels.width
+def _half_blocks(rgb: bytes, width: int, height: int) -> list[Row]:
+    line = 3 * width
     rows: list[Row] = []
-    for y in range(0, pixels.height, 2):
+    for y in range(0, height, 2):
         upper = rgb[y * line : (y + 1) * line]
         # The last row of an odd height has no lower half.
         lower = rgb[(y + 1) * line : (y + 2) * line].ljust(line, b"\0")
@@ -367,12 +382,11 @@ def _half_blocks(pixels: Pixels) -> list[Row]:
     return rows
 
 
-def _brightness(pixels: Pixels) -> list[Row]:
+def _brightness(rgb: bytes, width: int, height: int) -> list[Row]:
     """Draw by characters from dark to light."""
-    rgb, width = rgb_of(pixels), pixels.width
     grey = bytes((54 * rgb[at] + 183 * rgb[at + 1] + 19 * rgb[at + 2]) >> 8 for at in range(0, len(rgb), 3))  # Rec. 709
     rows: list[Row] = []
-    for y in range(0, pixels.height, 2):
+    for y in range(0, height, 2):
         upper = grey[y * width : (y + 1) * width]
         lower = grey[(y + 1) * width : (y + 2) * width] or upper
         means = ((above + below) // 2 for above, below in zip(upper, lower, strict=True))

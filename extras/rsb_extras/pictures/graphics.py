@@ -56,6 +56,14 @@ class Band(NamedTuple):
     sequence: str
     image_id: int
 
+    @property
+    def range(self) -> range:
+        return range(self.top, self.top + self.rows)
+
+    def is_under(self, covered: Container[int]) -> bool:
+        """Whether other things stand on one of its rows."""
+        return any(row in covered for row in self.range)
+
 
 def why_no_graphics(protocol: str) -> str:
     """Return the reason why this program cannot show images in a way, or an empty string."""
@@ -88,7 +96,7 @@ class Extent(NamedTuple):
 
 def frame_of(pixels: Pixels, wish: Wish) -> Extent:
     """Return the place of an image that fills the wished area in its own proportions."""
-    width, height = pixels.width / wish.across, pixels.height / wish.down
+    width, height = pixels.width, pixels.height * pixels.shape / wish.shape
     factor = min(wish.width / width, wish.height / height)
     width, height = width * factor, height * factor
     return Extent(max(1, math.ceil(width - 0.01)), max(1, math.ceil(height - 0.01)), width, height)
@@ -214,13 +222,13 @@ class Painter:
 
         Args:
             at: column and row of the image's upper left corner, from 0.
-            covered: rows of the screen on which other things stand.
+            covered: rows of the image on which other things stand.
         """
         parts = [self.taken_away()] if self._at != at else []
         self._at = at
         before, self._shown = self._shown, {}
         for number, band in enumerate(bands):
-            if not _is_covered(band, at, covered):
+            if not band.is_under(covered):
                 self._shown[number] = band
                 if before.get(number) is not band or self._is_lost:
                     parts.append(f"\x1b[{at[1] + band.top + 1};{at[0] + 1}H{band.sequence}")
@@ -237,7 +245,3 @@ class Painter:
 
     def _freed(self, band: Band) -> str:
         return kitty_freed(band.image_id) if self._protocol == "kitty" else ""
-
-
-def _is_covered(band: Band, at: tuple[int, int], covered: Container[int]) -> bool:
-    return any(at[1] + row in covered for row in range(band.top, band.top + band.rows))

@@ -186,13 +186,23 @@ def _part(height: int, width: int, wish: Wish) -> tuple[slice, slice]:
     return slice(top, top + shown_height), slice(left, left + shown_width)
 
 
+def _density(wish: Wish) -> tuple[int, int]:
+    """Return the pixels of the picture across and down a cell."""
+    finer = wish.webp and find_spec("PIL") is not None
+    return (wish.across, wish.down) if finer else (1, 2)
+
+
+def _pixel_shape(wish: Wish) -> float:
+    """Return the height of the picture's pixels over their width."""
+    across, down = _density(wish)
+    return across * wish.shape / down
+
+
 def _fitted(height: int, width: int, wish: Wish) -> tuple[int, int]:
     """Return the height and width of the picture in pixels: as large as the area allows, in the same proportions."""
-    finer = wish.webp and find_spec("PIL") is not None
-    across, down = (wish.across, wish.down) if finer else (1, 2)
+    across, down = _density(wish)
     most_width, most_height = min(LONGEST_SIDE, across * wish.width), min(LONGEST_SIDE, down * wish.height)
-    stretch = across * wish.shape / down
-    height = round(height / stretch)
+    height = round(height / _pixel_shape(wish))
     if across > 1:
         most_width, most_height = min(most_width, width), min(most_height, height)
     factor = min(most_width / width, most_height / height)
@@ -226,14 +236,14 @@ def _places(length: int, count: int) -> Array:
 
 
 def _pixels(rgb: Array, wish: Wish) -> Pixels:
-    height, width = rgb.shape[:2]
+    (height, width), shape = rgb.shape[:2], _pixel_shape(wish)
     pixels = np.ascontiguousarray(rgb, dtype=np.uint8)
     if wish.webp and find_spec("PIL") is not None:
         if width < _DOUBLED_BELOW:
             doubled = pixels.repeat(2, axis=0).repeat(2, axis=1)
-            return Pixels(width, height, _webp(doubled, (_QUALITY_DOUBLED, *_QUALITIES[2:])), "webp-doubled")
-        return Pixels(width, height, _webp(pixels, _QUALITIES), "webp")
-    return Pixels(width, height, pixels.tobytes())
+            return Pixels(width, height, _webp(doubled, (_QUALITY_DOUBLED, *_QUALITIES[2:])), "webp-doubled", shape)
+        return Pixels(width, height, _webp(pixels, _QUALITIES), "webp", shape)
+    return Pixels(width, height, pixels.tobytes(), shape=shape)
 
 
 def _webp(pixels: Array, qualities: Sequence[int]) -> bytes:

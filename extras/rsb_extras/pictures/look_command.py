@@ -269,17 +269,18 @@ def _wish(arguments: Namespace) -> Wish:
     )
     is_file = arguments.output is not None and arguments.output.suffix == ".png"
     facts = arguments.facts
+    shape = facts.shape
     if is_file:
-        across, down = 6, 12
+        across, down, shape = 6, 12, 2.0  # a file has no cells, and square pixels
     elif arguments.graphics != "blocks":
         across, down = (round(each) for each in facts.cell or USUAL_CELL)
     else:
         across, down = wished_pixels(facts.colours, sextants=facts.draws_sextants)
     if arguments.detail and (is_file or arguments.graphics != "blocks"):
         # Characters show what they can; more would cross the link for nothing.
-        across, down = arguments.detail, round(arguments.detail * facts.shape)
+        across, down = arguments.detail, round(arguments.detail * shape)
     width, height = arguments.width or size.columns, arguments.height or size.lines - 1
-    wish = sized(wish, width, height, across, down, facts.shape)
+    wish = sized(wish, width, height, across, down, shape)
     return in_full(wish) if is_file and not (arguments.width or arguments.height or arguments.detail) else wish
 
 
@@ -290,7 +291,7 @@ def _rows(viewed: Viewed, wish: Wish, arguments: Namespace) -> list[Row]:
     try:
         if isinstance(content, Pixels):
             sextants = arguments.facts.draws_sextants
-            return image_rows(content, wish.width, wish.height, colours=arguments.facts.colours, sextants=sextants)
+            return image_rows(content, wish, colours=arguments.facts.colours, sextants=sextants)
         return picture_rows(content, wish.width, wish.height, colours=arguments.facts.colours)
     except UnreadableError as error:
         raise EngineError(str(error)) from None

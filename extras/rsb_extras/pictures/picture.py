@@ -102,7 +102,9 @@ def sized(wish: Wish, width: int, height: int, across: int, down: int, shape: fl
 
 def in_full(wish: Wish) -> Wish:
     """Return a wish for an image in its own resolution, up to `LONGEST_SIDE`, if the viewer reads WebP."""
-    return msgspec.structs.replace(wish, width=MOST_COLUMNS, height=MOST_ROWS, across=MOST_ACROSS, down=MOST_DOWN)
+    most = {"width": MOST_COLUMNS, "height": MOST_ROWS, "across": MOST_ACROSS, "down": MOST_DOWN}
+    # In the shape of a terminal's cells, the image would be as high as it is shown there, not as it is.
+    return msgspec.structs.replace(wish, **most, shape=MOST_DOWN / MOST_ACROSS)
 
 
 def field_of(topic: str, path: str) -> str:
@@ -124,12 +126,14 @@ class Pixels(msgspec.Struct, frozen=True, omit_defaults=True, tag="pixels"):
         height: pixels; a cell of a terminal shows two, one above the other.
         data: three bytes a pixel, red, green and blue, row by row from the top; or a WebP file.
         coding: of `data`; ``webp-doubled`` has twice as many pixels across and down, since WebP halves colours.
+        shape: height of a pixel over its width. It gives the image's proportions, whatever the viewer wishes by now.
     """
 
     width: Annotated[int, Meta(ge=1, le=LONGEST_SIDE)]
     height: Annotated[int, Meta(ge=1, le=LONGEST_SIDE)]
     data: bytes
     coding: Literal["rgb", "webp", "webp-doubled"] = "rgb"
+    shape: Annotated[float, Meta(ge=_FLATTEST / MOST_DOWN, le=_HIGHEST * MOST_ACROSS)] = 1.0
 
 
 class Scale(msgspec.Struct, frozen=True):

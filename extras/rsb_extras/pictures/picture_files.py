@@ -13,8 +13,8 @@ from rich.color import Color
 
 from rsb_console.session.exports import cell
 from rsb_extras.pictures.paper import Paper
-from rsb_extras.pictures.picture import Cells, Pixels, Series
-from rsb_extras.pictures.picture_rows import picture_rows, rgb_of
+from rsb_extras.pictures.picture import LONGEST_SIDE, Cells, Pixels, Series
+from rsb_extras.pictures.picture_rows import picture_rows, rgb_of, scaled
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 # A character of a monospace font of 15 px (below) is about 9 px wide.
 _CELL_WIDTH, _CELL_HEIGHT = 9, 18
+SVG_SHAPE = _CELL_HEIGHT / _CELL_WIDTH
+"""Height of a cell over its width in SVG."""
 _RGB, _DEPTH = 2, 8
 _COLOURS = {
     "dim": "#808080", "strong": "#ffffff", "axis": "#808080", "ok": "#50c850", "warning": "#e0c040", "error": "#ff6060",
@@ -48,8 +50,23 @@ def picture_file(content: Cells | Pixels | Series, suffix: str) -> bytes:
     return write(content)
 
 
+def squared(pixels: Pixels) -> Pixels:
+    """Return an image with pixels as high as wide, as files have them, and at most `LONGEST_SIDE` of them on a side.
+
+    Raises:
+        UnreadableError: the other side's image is damaged.
+    """
+    if pixels.shape == 1.0:
+        return pixels
+    width, height = pixels.width * max(1.0, 1 / pixels.shape), pixels.height * max(1.0, pixels.shape)
+    factor = min(1.0, LONGEST_SIDE / max(width, height))
+    size = max(1, round(width * factor)), max(1, round(height * factor))
+    return Pixels(*size, scaled(rgb_of(pixels), pixels.width, pixels.height, *size))
+
+
 def png(pixels: Pixels) -> bytes:
     """Return an image as PNG (ISO/IEC 15948)."""
+    pixels = squared(pixels)
     line = 3 * pixels.width
     rgb = rgb_of(pixels)
     # Each line begins with the number of its filter; 0 is none.

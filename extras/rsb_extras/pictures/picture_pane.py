@@ -1,7 +1,7 @@
 """Draws one picture on the screen: rows of characters, or an image in the terminal's pixels.
 
-Pixels and boxes stand side by side: rows on which something else stands, such as a message or a question, show the
-image in characters meanwhile.
+Pixels and boxes stand side by side: bands of an image on which something else stands, such as a message or a
+question, are in characters meanwhile.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from textual.widgets._toast import Toast, ToastRack
 
 from rsb_console.screens.dialog import FullScreen
 from rsb_console.widgets.lines import LOOK_CLASSES, yield_gil
-from rsb_extras.pictures.graphics import USUAL_CELL, Painter, bands_of, frame_of
+from rsb_extras.pictures.graphics import USUAL_CELL, Extent, Painter, bands_of, frame_of
 from rsb_extras.pictures.paper import Paper
 
 if TYPE_CHECKING:
@@ -53,6 +53,7 @@ class PicturePane(Widget, can_focus=True):
         self._title = ""
         self._styles: dict[tuple[str, str], Style] = {}
         self._bands: list[Band] = []
+        self._frame = Extent(0, 0, 0.0, 0.0)
         self._painter: Painter | None = None
         self._covered: frozenset[int] = frozenset()
         self._losses = 0
@@ -94,7 +95,7 @@ class PicturePane(Widget, can_focus=True):
         """Show an image in pixels.
 
         Args:
-            wish: what it was drawn for.
+            wish: gives the area and the shape of its cells.
             blocks: gives the image in characters, on a thread.
             few_colours: whether bytes to the terminal are dear (`bands_of`).
 
@@ -106,9 +107,12 @@ class PicturePane(Widget, can_focus=True):
         cell, paper, before = facts.cell or USUAL_CELL, self._paper.background, self._bands
         frame, first_id = frame_of(image, wish), painter.first_id
         make = partial(bands_of, image, frame, cell, facts.pixels, first_id, paper, before, few_colours=few_colours)
-        self._bands = await asyncio.to_thread(make)
+        self._bands, self._frame = await asyncio.to_thread(make), frame
         self._covered = self._rows_under_boxes()
-        self._show_rows(await asyncio.to_thread(blocks) if self._covered else [])
+        hidden = {row for band in self._bands if band.is_under(self._covered) for row in band.range}
+        rows = await asyncio.to_thread(blocks) if hidden else []
+        # Characters below pixels would be sent for nothing, and sixels once more, as they go with characters on them.
+        self._show_rows([row if y in hidden else () for y, row in enumerate(rows)])
         self.call_after_refresh(self._paint)
 
     def _show_rows(self, rows: list[Row]) -> None:
@@ -148,11 +152,13 @@ class PicturePane(Widget, can_focus=True):
         """Called when other rows of an image are covered, which need characters."""
 
     def _rows_under_boxes(self) -> frozenset[int]:
-        """Return the rows of the screen on which something else stands in front of the picture."""
-        own = self.content_region
+        """Return the rows of the image on which something else stands."""
         if not self.display or self.screen not in self.app.screen_stack:
-            return frozenset(range(own.y, own.bottom))
-        return frozenset(y for box in self._boxes() for y in own.intersection(box).line_range)
+            return frozenset(range(self._frame.rows))
+        image = Region(*self.content_region.offset, self._frame.columns, self._frame.rows)
+        # A box beside it has an intersection, too, which is as high as both, and 0 wide.
+        boxes = filter(image.overlaps, self._boxes())
+        return frozenset(y - image.y for box in boxes for y in image.intersection(box).line_range)
 
     def _boxes(self) -> Iterator[Region]:
         stack = self.app.screen_stack

@@ -120,6 +120,19 @@ def rgb_of(pixels: Pixels) -> bytes:
     raise UnreadableError("an image has another size than it says")
 
 
+def scaled(rgb: bytes, width: int, height: int, new_width: int, new_height: int) -> bytes:
+    """Return an image in another size, by the nearest of its pixels, three bytes each."""
+    if (width, height) == (new_width, new_height):
+        return rgb
+    places = [3 * ((2 * x + 1) * width // (2 * new_width)) for x in range(new_width)]
+    lines = {}
+    rows = [(2 * y + 1) * height // (2 * new_height) for y in range(new_height)]
+    for row in {*rows}:
+        line = rgb[3 * width * row : 3 * width * (row + 1)]
+        lines[row] = b"".join(line[at : at + 3] for at in places)
+    return b"".join(lines[row] for row in rows)
+
+
 def _cells(cells: Cells, colours: int) -> list[Row]:
     rows: list[Row] = []
     at = 0

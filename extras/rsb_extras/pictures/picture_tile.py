@@ -41,7 +41,7 @@ from rsb_extras.pictures.picture import (
     sized,
     split_field,
 )
-from rsb_extras.pictures.picture_files import formats_of, picture_file, svg
+from rsb_extras.pictures.picture_files import SVG_SHAPE, formats_of, picture_file, squared, svg
 from rsb_extras.pictures.picture_rows import AXIS, Part, UnreadableError, picture_rows, reads_webp, with_mark
 from rsb_extras.pictures.tile import FRAME, Tile, joined
 
@@ -139,6 +139,7 @@ class PictureTile(Tile):
         """The damage of the image in sight, or an empty string."""
         self._waiting = ""
         """The publishing side's reason why no picture has come yet."""
+        self._showing = asyncio.Lock()
         self._cursor: int | None = None
         """Column of a plot whose values are shown."""
         self._strain = 0
@@ -278,21 +279,22 @@ class PictureTile(Tile):
 
     async def _show_content(self) -> None:
         """Show the newest picture; an image is drawn on a thread, so that keys do not wait for it."""
-        content, self._unreadable = self.content, ""
-        if isinstance(content, Pixels):
-            try:
-                if self._shows_pixels:
-                    blocks = partial(self._in_blocks, content)
-                    await self.show_image(content, self._wish, blocks, few_colours=self._strain > 0)
-                else:
-                    self._blocks = await asyncio.to_thread(self._in_blocks, content)
-            except UnreadableError as error:
-                self._unreadable, self._blocks = str(error), []
-        self._draw()
+        # One after the other: of two threads, the one with the former picture or size may be the last.
+        async with self._showing:
+            content, self._unreadable = self.content, ""
+            if isinstance(content, Pixels):
+                blocks = partial(self._in_blocks, content, self._wish)
+                try:
+                    if self._shows_pixels:
+                        await self.show_image(content, self._wish, blocks, few_colours=self._strain > 0)
+                    else:
+                        self._blocks = await asyncio.to_thread(blocks)
+                except UnreadableError as error:
+                    self._unreadable, self._blocks = str(error), []
+            self._draw()
 
-    def _in_blocks(self, content: Pixels) -> list[Row]:
-        facts, wish = self.terminal.facts, self._wish
-        return image_rows(content, wish.width, wish.height, colours=self._colours, sextants=facts.draws_sextants)
+    def _in_blocks(self, content: Pixels, wish: Wish) -> list[Row]:
+        return image_rows(content, wish, colours=self._colours, sextants=self.terminal.facts.draws_sextants)
 
     @work(exclusive=True, group="image")
     async def cover_changed(self) -> None:
@@ -522,7 +524,8 @@ class PictureTile(Tile):
             drawn, content = content, (await self._image_in_full() if self._goes_on.is_set() else None) or content
         try:
             if drawn is not None:
-                drawing = await asyncio.to_thread(self._in_blocks, drawn)
+                of_file = msgspec.structs.replace(self._wish, shape=SVG_SHAPE)
+                drawing = await asyncio.to_thread(self._in_blocks, drawn, of_file)
             files = await asyncio.to_thread(_write, self.subject.topics[0], content, drawing)
         except (OSError, UnreadableError) as error:
             self.notify(ViewText.NOT_WRITTEN(error=error), severity="error", markup=False)
@@ -568,11 +571,13 @@ def _write(topic: str, content: Cells | Pixels | Series, drawing: Sequence[Row] 
         OSError: it cannot be written.
         UnreadableError: the other side's image is damaged.
     """
-    suffix = formats_of(content)[0]
+    suffix, size = formats_of(content)[0], ""
+    if isinstance(content, Pixels):
+        content = squared(content)
+        size = f", {content.width}×{content.height}"
     name = f"{topic.strip('/').replace('/', '_')}-{time.strftime('%Y%m%d-%H%M%S')}"
     file = Path(f"{name}{suffix}").absolute()
     replace_file(file, picture_file(content, suffix))
-    size = f", {content.width}×{content.height}" if isinstance(content, Pixels) else ""
     if drawing is None:
         return f"{file}{size}"
     replace_file(file.with_suffix(".svg"), svg(drawing))

@@ -19,6 +19,7 @@ from rsb_extras.pictures.picture import (
     Pixels,
     Scale,
     Series,
+    Wish,
     decode_picture,
     encode_picture,
 )
@@ -33,7 +34,7 @@ _WIDTH, _HEIGHT = 40, 12
 
 def rows_of(content: Cells | Pixels | Series, colours: int) -> list[Row]:
     if isinstance(content, Pixels):
-        return image_rows(content, _WIDTH, _HEIGHT, colours=colours, sextants=colours > 16)
+        return image_rows(content, Wish(_WIDTH, _HEIGHT), colours=colours, sextants=colours > 16)
     return picture_rows(content, _WIDTH, _HEIGHT)
 
 

@@ -216,7 +216,7 @@ def ours(photo: Image.Image, way: Way, window: Window) -> tuple[bytes, int, tupl
         bands = bands_of(content, frame, window.cell, way.pixels, 1, (0, 0, 0))  # type: ignore[arg-type]
         data = "".join(f"\x1b[{band.top + 1};1H{band.sequence}" for band in bands)
         return data.encode(), link, (frame.columns, frame.rows), (frame.width, frame.height)
-    rows = image_rows(content, wish.width, wish.height, colours=way.colours, sextants=way.sextants)
+    rows = image_rows(content, wish, colours=way.colours, sextants=way.sextants)
     text = "\r\n".join(_encoded(row, TerminalFacts(colours=way.colours), ascii_only=False) for row in rows)
     size = sum(len(part.text) for part in rows[0]), len(rows)
     return text.encode(), link, size, (content.width / across, content.height / down)

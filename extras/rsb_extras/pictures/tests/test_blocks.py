@@ -5,6 +5,7 @@ from __future__ import annotations
 import unicodedata
 from itertools import product
 
+import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -18,8 +19,9 @@ from textual.filter import ANSIToTruecolor
 
 from rsb_extras.pictures.blocks import _XTERM_16 as XTERM_16
 from rsb_extras.pictures.blocks import RAMP, image_rows, wished_pixels
-from rsb_extras.pictures.picture import LONGEST_SIDE, Pixels
-from rsb_extras.pictures.picture_rows import Part, UnreadableError
+from rsb_extras.pictures.graphics import frame_of
+from rsb_extras.pictures.picture import LONGEST_SIDE, Pixels, Wish
+from rsb_extras.pictures.picture_rows import Part
 
 np = pytest.importorskip("numpy")
 
@@ -28,8 +30,15 @@ TRUE = 1 << 24
 QUARTERS = ("UPPER LEFT", "UPPER RIGHT", "LOWER LEFT", "LOWER RIGHT")
 
 
+def area(pixels: Pixels, colours: int, *, sextants: bool = False) -> tuple[Pixels, Wish]:
+    """Return an image with the shape of the pixels that blocks have, and an area of as many cells as it takes."""
+    across, down = wished_pixels(colours, sextants=sextants)
+    wish = Wish(-(-pixels.width // across), -(-pixels.height // down))
+    return msgspec.structs.replace(pixels, shape=across * wish.shape / down), wish
+
+
 def drawn(pixels: Pixels, colours: int, *, sextants: bool = False) -> list[tuple[Part, ...]]:
-    return image_rows(pixels, 80, 24, colours=colours, sextants=sextants)
+    return image_rows(*area(pixels, colours, sextants=sextants), colours=colours, sextants=sextants)
 
 
 def text(pixels: Pixels, colours: int, *, sextants: bool = False) -> list[str]:
@@ -155,20 +164,47 @@ def test_colours_that_rich_and_textual_show_are_the_nearest(colours: int) -> Non
 )
 def test_any_image_fills_its_cells(width: int, height: int, colours: int, sextants: bool, data: st.DataObject) -> None:
     rgb = data.draw(st.binary(min_size=3 * width * height, max_size=3 * width * height))
-    across, down = wished_pixels(colours, sextants=sextants)
-    found = text(Pixels(width, height, rgb), colours, sextants=sextants)
-    assert list(map(len, found)) == [-(-width // across)] * -(-height // down)
+    pixels, wish = area(Pixels(width, height, rgb), colours, sextants=sextants)
+    frame = frame_of(pixels, wish)
+    found = text(pixels, colours, sextants=sextants)
+    assert list(map(len, found)) == [frame.columns] * frame.rows
 
 
-@pytest.mark.parametrize("colours", [0, 16, TRUE])
-def test_image_that_nobody_asked_for_takes_no_time(colours: int) -> None:
-    with pytest.raises(UnreadableError):
-        drawn(Pixels(LONGEST_SIDE, LONGEST_SIDE, b"", "webp"), colours)
+COLOURS = [0, 16, 256, TRUE]
 
 
-def test_image_larger_than_its_area_is_cut() -> None:
-    rows = image_rows(Pixels(20, 20, bytes(1200)), 3, 2, colours=TRUE, sextants=False)
-    assert [sum(len(part.text) for part in row) for row in rows] == [3, 3]
+def edges(rows: list[tuple[Part, ...]]) -> list[int]:
+    """Return the column of each row from which on an image is brighter."""
+    shown = [[part[1:] if part.style else each for part in row for each in part.text] for row in rows]
+    return [next(at for at, cell in enumerate(row) if cell != row[0]) for row in shown]
+
+
+@pytest.mark.parametrize("colours", COLOURS)
+@pytest.mark.parametrize("size", [(640, 480), (320, 240), (80, 60), (LONGEST_SIDE, LONGEST_SIDE * 3 // 4), (4, 3)])
+def test_image_of_any_resolution_is_shown_whole(size: tuple[int, int], colours: int) -> None:
+    """As one for the terminal's pixels, some rows of which are in characters."""
+    width, height = size
+    rows = image_rows(
+        Pixels(width, height, (BLACK * (width // 2) + WHITE * (width - width // 2)) * height),
+        Wish(40, 40, across=10, down=20),
+        colours=colours,
+        sextants=False,
+    )
+    assert [sum(len(part.text) for part in row) for row in rows] == [40] * 15
+    assert edges(rows) == [20] * 15
+
+
+@pytest.mark.parametrize("colours", COLOURS)
+@pytest.mark.parametrize("cell", [(10, 20), (2, 4), (2, 6), (1, 2), (4, 9)])
+def test_characters_take_the_place_of_pixels(cell: tuple[int, int], colours: int) -> None:
+    """Also while the terminal is slow, for which an image has fewer pixels a cell."""
+    across, down = cell
+    wish = Wish(60, 18, across=across, down=down, shape=2.1)
+    pixels = Pixels(20 * across, 9 * down, bytes(540 * across * down), shape=across * wish.shape / down)
+    frame = frame_of(pixels, msgspec.structs.replace(wish, across=16, down=32))
+    assert (frame.columns, frame.rows) == (40, 18)
+    rows = image_rows(pixels, wish, colours=colours, sextants=False)
+    assert [sum(len(part.text) for part in row) for row in rows] == [40] * 18
 
 
 # -- without numpy, or without colours

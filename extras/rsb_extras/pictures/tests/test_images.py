@@ -230,15 +230,25 @@ def test_proportions_are_those_of_terminal_cells(shape: float) -> None:
         assert on_screen == pytest.approx(16 / 9, rel=0.04)
 
 
-def test_an_image_in_full_has_its_own_resolution() -> None:
-    """Noise, too, which takes most bytes."""
-    wish = in_full(msgspec.structs.replace(WISH, webp=True))
+@pytest.mark.parametrize("shape", [1.5, 1.878, 2.0, 15 / 7, 3.0])
+def test_an_image_in_full_has_its_own_resolution(shape: float) -> None:
+    """Noise, too, which takes most bytes, and whatever the shape of the terminal's cells."""
+    wish = in_full(msgspec.structs.replace(WISH, webp=True, shape=shape))
     for width, height, expected in ((640, 480, (640, 480)), (1920, 1440, (1920, 1440)), (2400, 1800, (1920, 1440))):
         noise = np.random.default_rng(1).integers(0, 256, 3 * width * height, np.uint8).tobytes()
         content = drawn(wish, Image(encoding="rgb8", width=width, height=height, data=array("B", noise))).content
         assert isinstance(content, Pixels)
         assert (content.width, content.height) == expected
     assert LONGEST_SIDE == 1920
+
+
+@pytest.mark.parametrize("webp", [False, True])
+@pytest.mark.parametrize("cell", [(1, 2), (2, 6), (4, 8), (7, 15)])
+def test_picture_tells_the_shape_of_its_pixels(cell: tuple[int, int], webp: bool) -> None:
+    wish = Wish(100, 100, webp=webp, across=cell[0], down=cell[1], shape=15 / 7)
+    content = drawn(wish, image("rgb8", bytes(3 * 640 * 480), 640, 480)).content
+    assert isinstance(content, Pixels)
+    assert content.width / (content.height * content.shape) == pytest.approx(4 / 3, rel=0.02)
 
 
 def test_detail_needs_webp(monkeypatch: pytest.MonkeyPatch) -> None:

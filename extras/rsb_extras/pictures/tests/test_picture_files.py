@@ -46,6 +46,19 @@ def test_png_of_webp_has_its_pixels() -> None:
     assert read.tobytes() == PIXELS.data
 
 
+@pytest.mark.parametrize(
+    ("shape", "size"), [(2.0, (40, 60)), (0.5, (80, 30)), (1.02, (40, 31)), (128.0, (20, 1920)), (1 / 64, (1920, 22))]
+)
+def test_png_has_square_pixels(shape: float, size: tuple[int, int]) -> None:
+    """Of an image that was made for cells of another shape, and within the limit of all images."""
+    image = pytest.importorskip("PIL.Image", reason="needs Pillow")
+    pixels = Pixels(40, 30, (b"\0\0\0" * 20 + b"\xff\xff\xff" * 20) * 30, shape=shape)
+    read = image.open(io.BytesIO(picture_file(pixels, ".png")))
+    assert read.size == size
+    half, bottom = size[0] // 2, size[1] - 1
+    assert (read.getpixel((half - 1, bottom)), read.getpixel((half, 0))) == ((0, 0, 0), (255, 255, 255))
+
+
 def test_svg_has_the_characters_and_their_colours() -> None:
     (first, second), (third,) = spans(CELLS)
     assert [text for text, _ in (first, second, third)] == ["a", "<b", "&  "]

@@ -5,21 +5,37 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import replace
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from tests.console.driving import WIDE, on_main, shown, until
+import pytest
+from sensor_msgs.msg import Image
+from tests.console.driving import WIDE, on_main, put, shown, until
+from tests.console.scripted import route
+from textual.geometry import Offset, Region
+from textual.screen import ModalScreen
+from textual.widgets import Static
 
+from rsb_bridge.model.snapshot import ArmingSnapshot
 from rsb_console.app import ConsoleApp
+from rsb_extras.driving.drive_screen import DriveScreen
 from rsb_extras.pictures.graphics import BANDS
 from rsb_extras.pictures.picture import Pixels
+from rsb_extras.pictures.tests import samples
 from rsb_extras.pictures.tests.looking_engine import LookingEngine
-from rsb_extras.pictures.tests.test_view_screen import comes, drawn, opened, screen_of, viewed
+from rsb_extras.pictures.tests.test_view_screen import comes, engine_of, looks, opened, viewed
+from rsb_extras.pictures.view_screen import ViewScreen
 
 if TYPE_CHECKING:
+    from textual.app import ComposeResult
     from textual.pilot import Pilot
 
+    from rsb_extras.pictures.picture import Wish
+    from rsb_extras.pictures.tile import Tile
+
 _PLACED = re.compile(r"\x1b\[(\d+);(\d+)H\x1b_Ga=T,f=100,i=(\d+),p=1,c=(\d+),r=(\d+)")
+_SIXELS = re.compile(r"\x1b\[(\d+);(\d+)H\x1bP")
 _FREED = re.compile(r"\x1b_Ga=d,d=I,i=(\d+),q=2")
 CELL = (10.0, 20.0)
 
@@ -29,6 +45,10 @@ class Written:
 
     def __init__(self) -> None:
         self.text = ""
+
+    def tops(self, after: int = 0) -> set[int]:
+        """Return the first rows of all bands that were written after so many characters."""
+        return {int(found[1]) - 1 for way in (_PLACED, _SIXELS) for found in way.finditer(self.text, after)}
 
     def shown(self) -> dict[str, tuple[int, int, int, int]]:
         """Return row, column, width and height of each image that is not taken away, by its number."""
@@ -46,11 +66,18 @@ def noise(width: int, height: int, seed: int = 1) -> Pixels:
     return Pixels(width, height, np.random.default_rng(seed).integers(0, 256, 3 * width * height, np.uint8).tobytes())
 
 
-async def in_kitty(pilot: Pilot[None]) -> Written:
-    """Let the terminal be kitty, and open a picture."""
+def halves(width: int, height: int, bright: int) -> Pixels:
+    """Return an image whose left half is black."""
+    return Pixels(width, height, (bytes(3 * (width // 2)) + bytes([bright]) * (3 * (width - width // 2))) * height)
+
+
+async def in_pixels(
+    pilot: Pilot[None], protocol: str = "kitty", cell: tuple[float, float] = CELL, name: str = ""
+) -> Written:
+    """Let the terminal show pixels, and open a picture."""
     app: Any = pilot.app
     assert isinstance(app, ConsoleApp)
-    app.facts = replace(app.facts, pixels="kitty", cell=CELL)
+    app.facts = replace(app.facts, pixels=protocol, cell=cell, name=name)
     written = Written()
 
     def write(sequence: str) -> None:
@@ -61,9 +88,38 @@ async def in_kitty(pilot: Pilot[None]) -> Written:
     return written
 
 
+def pane_of(app: ConsoleApp) -> Tile:
+    return next(each for each in app.screen_stack if isinstance(each, ViewScreen)).pane
+
+
+def drawn(app: ConsoleApp) -> list[str]:
+    """Return the rows of the picture in characters."""
+    pane = pane_of(app)
+    return [pane.render_line(row).text for row in range(pane.size.height)]
+
+
+def edges(app: ConsoleApp) -> dict[int, tuple[int, int]]:
+    """Return of each row in characters the column from which on an image of two halves is white, and its width."""
+    found, pane = {}, pane_of(app)
+    for row in range(pane.size.height):
+        strip = pane.render_line(row)
+        cells = [part.style.bgcolor for part in strip if part.style is not None for _ in part.text]
+        changes = [at for at, (before, after) in enumerate(pairwise(cells), 1) if before != after]
+        if len(changes) > 1:
+            found[row] = changes[0], changes[-1]
+    return found
+
+
+def image_region(app: ConsoleApp) -> Region:
+    """Return the place of an image of 4:3 in cells of `CELL`."""
+    pane = pane_of(app).content_region
+    height = min(pane.height, math.ceil(pane.width * 3 / 8 - 0.01))
+    return Region(pane.x, pane.y, min(pane.width, math.ceil(pane.height * 8 / 3 - 0.01)), height)
+
+
 def bands(app: ConsoleApp) -> int:
     """Return how many bands an image of the pane's height has."""
-    height = screen_of(app).pane.size.height
+    height = pane_of(app).size.height
     return math.ceil(height / math.ceil(height / BANDS))
 
 
@@ -72,18 +128,18 @@ on_list = on_main(WIDE, landmark="/robot2/scan", make_engine=LookingEngine)
 
 @on_list
 async def test_image_is_asked_for_in_pixels_of_screen(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    await in_kitty(pilot)
+    await in_pixels(pilot)
     wish = await comes(pilot, viewed(noise(320, 240)))
     assert (wish.across, wish.down, wish.shape) == (10, 20, 2.0)
-    assert (wish.width, wish.height) == screen_of(app).pane.size
+    assert (wish.width, wish.height) == pane_of(app).size
 
 
 @on_list
 async def test_image_fills_its_pane_and_no_more(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    written = await in_kitty(pilot)
+    written = await in_pixels(pilot)
     await comes(pilot, viewed(noise(320, 240)))
     await until(pilot, lambda: len(written.shown()) == bands(app), "the image")
-    content = screen_of(app).pane.content_region
+    content = pane_of(app).content_region
     places = sorted(written.shown().values())
     assert (places[0][0], places[0][1]) == (content.y + 1, content.x + 1)
     assert sum(height for *_, height in places) == content.height
@@ -93,7 +149,7 @@ async def test_image_fills_its_pane_and_no_more(app: ConsoleApp, pilot: Pilot[No
 
 @on_list
 async def test_rows_below_a_question_are_characters(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    written = await in_kitty(pilot)
+    written = await in_pixels(pilot)
     await comes(pilot, viewed(noise(320, 240)))
     await until(pilot, lambda: len(written.shown()) == bands(app), "the image")
     app.notify("a message", timeout=600)
@@ -106,7 +162,7 @@ async def test_rows_below_a_question_are_characters(app: ConsoleApp, pilot: Pilo
 
 @on_list
 async def test_image_goes_with_its_screen(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    written = await in_kitty(pilot)
+    written = await in_pixels(pilot)
     await comes(pilot, viewed(noise(320, 240)))
     await until(pilot, lambda: len(written.shown()) == bands(app), "the image")
     await pilot.press("question_mark")  # a screen that hides all
@@ -120,7 +176,7 @@ async def test_image_goes_with_its_screen(app: ConsoleApp, pilot: Pilot[None]) -
 
 @on_list
 async def test_still_image_is_written_once(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    written = await in_kitty(pilot)
+    written = await in_pixels(pilot)
     for _ in range(3):
         await comes(pilot, viewed(noise(320, 240)))
     await until(pilot, lambda: len(written.shown()) == bands(app), "the image")
@@ -128,3 +184,161 @@ async def test_still_image_is_written_once(app: ConsoleApp, pilot: Pilot[None]) 
     await comes(pilot, viewed(noise(320, 240, seed=2)))
     await until(pilot, lambda: len(_PLACED.findall(written.text)) == 2 * bands(app), "another image")
     assert len(written.shown()) == bands(app)
+
+
+# -- boxes
+
+PROTOCOLS = pytest.mark.parametrize("protocol", ["kitty", "sixel"])
+DRIVEN = route(
+    "/cmd_vel", outgoing=True, type_name="geometry_msgs/msg/Twist", max_age=0.5, arming=ArmingSnapshot(armed=True)
+)
+
+
+class Box(ModalScreen[None]):
+    """A box somewhere on the screen."""
+
+    CSS = "Box { align: left top; } Box Static { background: red; }"
+
+    def __init__(self, place: Region) -> None:
+        super().__init__()
+        self._place = place
+
+    def compose(self) -> ComposeResult:
+        box = Static("a box")
+        box.styles.offset = Offset(self._place.x, self._place.y)
+        box.styles.width, box.styles.height = self._place.width, self._place.height
+        yield box
+
+
+@PROTOCOLS
+@on_list
+async def test_box_on_image_hides_its_bands(app: ConsoleApp, pilot: Pilot[None], protocol: str) -> None:
+    """Their rows show the same part of the image in characters, and no other row does."""
+    written = await in_pixels(pilot, protocol)
+    await comes(pilot, viewed(halves(640, 480, 255)))
+    image = image_region(app)
+    high = math.ceil(image.height / BANDS)
+    found = [Region(image.x, y, image.width, min(high, image.bottom - y)) for y in range(image.y, image.bottom, high)]
+    await until(pilot, lambda: written.tops() == {each.y for each in found}, "the image")
+    places = {
+        "beside": Region(image.right, image.y, 20, image.height),
+        "above": Region(0, 0, app.size.width, image.y),
+        "below": Region(0, image.bottom, app.size.width, 1),
+        "on a corner": Region(image.right - 2, image.bottom - high - 1, 20, high),
+        "within": Region(image.x + 9, image.y + high, 9, 1),
+        "on all": Region(0, 0, *app.size),
+        "beside again": Region(image.right, image.y, 20, image.height),
+    }
+    for bright, (name, place) in enumerate(places.items(), 200):
+        await app.push_screen(Box(place))
+        box = app.screen.query_one(Static)
+        await until(pilot, lambda box=box, place=place: box.region == place, f"a box {name}")
+        before = len(written.text)
+        await comes(pilot, viewed(halves(640, 480, bright)))
+        in_sight = {each.y for each in found if not each.overlaps(place)}
+        hidden = {y - image.y for each in found if each.overlaps(place) for y in each.line_range}
+        await until(pilot, lambda before=before, tops=in_sight: written.tops(before) == tops, f"pixels, box {name}")
+        await until(pilot, lambda hidden=hidden: {*edges(app)} == hidden, f"characters, box {name}")
+        for edge, width in edges(app).values():
+            assert width == image.width
+            assert abs(edge - width / 2) <= 1
+        await app.pop_screen()
+
+
+@PROTOCOLS
+@on_list
+async def test_message_beside_image_hides_nothing(app: ConsoleApp, pilot: Pilot[None], protocol: str) -> None:
+    written = await in_pixels(pilot, protocol)
+    app.notify("a message", timeout=600)
+    await shown(pilot, "a message")
+    for bright in (200, 255):
+        before = len(written.text)
+        await comes(pilot, viewed(halves(100, 400, bright)))
+        await until(pilot, lambda before=before: len(written.tops(before)) == bands(app), "the image")
+    assert not edges(app)
+
+
+@PROTOCOLS
+@on_list
+async def test_drive_box_stands_beside_pixels(app: ConsoleApp, pilot: Pilot[None], protocol: str) -> None:
+    """The image takes the room that is left, whole and in its proportions."""
+    written = await in_pixels(pilot, protocol)
+    await comes(pilot, viewed(halves(640, 480, 255)))
+    put(app, DRIVEN)
+    await pilot.press("d")
+    await until(pilot, lambda: isinstance(app.screen, DriveScreen), "the drive box")
+    box = app.screen.query_one("#drive")
+    await until(pilot, lambda: not box.region.overlaps(pane_of(app).region), "room for the box")
+    for bright in (200, 210):
+        before = len(written.text)
+        await comes(pilot, viewed(halves(640, 480, bright)))
+        expected = math.ceil(image_region(app).height / math.ceil(image_region(app).height / BANDS))
+        await until(
+            pilot, lambda before=before, expected=expected: len(written.tops(before)) == expected, "the whole image"
+        )
+    assert not edges(app)
+    if protocol == "kitty":
+        assert {width for _, _, width, _ in written.shown().values()} == {image_region(app).width}
+        assert sum(height for *_, height in written.shown().values()) == image_region(app).height
+
+
+# -- proportions
+
+
+@pytest.mark.parametrize("covered", [False, True])
+@on_list
+async def test_proportions_hold_while_terminal_is_slow(app: ConsoleApp, pilot: Pilot[None], covered: bool) -> None:
+    """An image with fewer pixels is asked for, and until it comes the one before is in sight."""
+    cell, name = (7.0, 15.0), "kitty"
+    written = await in_pixels(pilot, "kitty", cell, name)
+
+    async def slowly() -> float:
+        return 1.0
+
+    vars(app)["terminal_has_read"] = slowly
+    wish = looks(engine_of(app))[-1][1]
+    if covered:
+        await app.push_screen(Box(Region(0, 0, *app.size)))
+    densities = []
+    for bright in range(200, 240, 10):
+        densities.append((wish.across, wish.down))
+        before, wish = wish, await comes(pilot, viewed(camera(wish, bright)))
+        if covered:
+            await until(pilot, lambda: len(edges(app)) > 1, "characters")
+            wide, high = edges(app)[0][1], len(edges(app))
+        else:
+            await until(pilot, written.shown, "the image")
+            wide = {width for _, _, width, _ in written.shown().values()}.pop()
+            high = sum(height for *_, height in written.shown().values())
+        assert wide * cell[0] / (high * cell[1]) == pytest.approx(4 / 3, rel=0.05), (before, wish)
+    assert densities[0] == (7, 15)
+    assert densities[-1] == (2, 4)
+
+
+def camera(wish: Wish, bright: int) -> Pixels:
+    """Return a camera's image of 640 × 480 as the other side draws it."""
+    message = Image(encoding="rgb8", width=640, height=480, step=3 * 640)
+    message.data = halves(640, 480, bright).data
+    content = samples.drawn(wish, message).content
+    assert isinstance(content, Pixels)
+    return content
+
+
+@on_list
+async def test_held_image_keeps_proportions_in_another_size(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    """Of the terminal, and of its font."""
+    written = await in_pixels(pilot, "kitty", (7.0, 15.0))
+    await comes(pilot, viewed(camera(looks(engine_of(app))[-1][1], 255)))
+    await pilot.press("space")
+    for size, cell in (((90, 30), (7.0, 15.0)), ((100, 30), (10.0, 19.0)), ((60, 40), (14.0, 29.0))):
+        app.facts = replace(app.facts, cell=cell)
+        await pilot.resize_terminal(*size)
+
+        def fits(cell: tuple[float, float] = cell) -> bool:
+            placed = written.shown().values()
+            wide, high = {each[2] for each in placed}, sum(each[3] for each in placed)
+            pane = pane_of(app).size
+            is_right = len(wide) == 1 and abs(max(wide) * cell[0] / (high * cell[1]) * 3 / 4 - 1) < 0.05
+            return is_right and (max(wide) == pane.width or high == pane.height)
+
+        await until(pilot, fits, f"the image in {size} of {cell}")
