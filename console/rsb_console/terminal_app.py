@@ -11,13 +11,15 @@ import time
 import traceback
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from platformdirs import user_log_path
 from rich.console import COLOR_SYSTEMS
 from textual import work
+from textual._compositor import ChopsUpdate, LayoutUpdate
 from textual.app import App, ReturnType
 from textual.screen import SystemModalScreen
+from textual.signal import Signal
 
 from rsb_bridge.config.files import owner_only
 from rsb_bridge.model.snapshot import State
@@ -47,6 +49,7 @@ from rsb_console.widgets.lines import LOOK_CLASSES
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
 
+    from rich.console import RenderableType
     from textual import events
     from textual.filter import LineFilter
     from textual.screen import Screen
@@ -88,6 +91,8 @@ class TerminalApp(App[ReturnType]):
             young its keys are.
         terminal: file descriptor of the terminal.
         facts: what the terminal can show, as far as it is known.
+        text_drawn: published when Textual has written text: for each part of a line the row, the first column, and the
+            column behind the last one.
     """
 
     TITLE = "rsb-console"
@@ -120,6 +125,7 @@ class TerminalApp(App[ReturnType]):
         self.shutdown_reason = ShutdownReason.QUIT
         self.input_queue = InputQueue(self, dialogs)
         self.input_gate = InputGate(self)
+        self.text_drawn: Signal[Sequence[tuple[int, int, int]]] = Signal(self, "text-drawn")
         self._forced_end: threading.Timer | None = None
         self._line_filters: list[LineFilter] = [ControlFilter(), *([AsciiFilter()] if ascii_only else [])]
 
@@ -174,6 +180,14 @@ class TerminalApp(App[ReturnType]):
             return
         if event.is_forwarded or not self.screen_stack or not self.input_gate.refuses(event, self.screen):
             await super().on_event(event)
+
+    def _display(self, screen: Screen[Any], renderable: RenderableType | None) -> None:
+        super()._display(screen, renderable)
+        if isinstance(renderable, ChopsUpdate):
+            self.text_drawn.publish(renderable.spans)
+        elif isinstance(renderable, LayoutUpdate):
+            region = renderable.region
+            self.text_drawn.publish([(y, region.x, region.right) for y in region.line_range])
 
     # --- the terminal
 

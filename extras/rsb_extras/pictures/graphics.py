@@ -96,7 +96,7 @@ class Extent(NamedTuple):
 
 def frame_of(pixels: Pixels, wish: Wish) -> Extent:
     """Return the place of an image that fills the wished area in its own proportions."""
-    width, height = pixels.width, pixels.height * pixels.shape / wish.shape
+    width, height = float(pixels.width), pixels.height * pixels.shape / wish.shape
     factor = min(wish.width / width, wish.height / height)
     width, height = width * factor, height * factor
     return Extent(max(1, math.ceil(width - 0.01)), max(1, math.ceil(height - 0.01)), width, height)
@@ -206,12 +206,10 @@ class Painter:
         self._shown: dict[int, Band] = {}
         self._is_lost = False
 
-    def overwritten(self, top: int, bottom: int) -> None:
-        """Note that text was drawn over rows from `top` until before `bottom`; kitty's images stay on it."""
+    def overwritten(self, rows: Container[int]) -> None:
+        """Note that text was drawn over rows of the image; kitty's images stay on it."""
         if self._protocol == "sixel":
-            for number, band in [*self._shown.items()]:
-                if band.top < bottom and top < band.top + band.rows:
-                    del self._shown[number]
+            self._shown = {number: band for number, band in self._shown.items() if not band.is_under(rows)}
 
     def lost(self) -> None:
         """Note that the terminal may have been cleared, or has missed some of what was written."""

@@ -70,7 +70,8 @@ class PicturePane(Widget, can_focus=True):
         return cast("TerminalApp[Any]", self.app)
 
     def on_mount(self) -> None:
-        self.set_interval(_COVERED_EVERY, self._look_for_boxes)
+        self.set_interval(_COVERED_EVERY, self._paint)
+        self.terminal.text_drawn.subscribe(self, self._drawn_over, immediate=True)
 
     def on_unmount(self) -> None:
         self.take_image_away()
@@ -126,27 +127,32 @@ class PicturePane(Widget, can_focus=True):
     # -- pixels -------------------------------------------------------------------------------------------------------
 
     def _paint(self) -> None:
-        """Send what the terminal lacks of the image."""
+        """Send what the terminal lacks of the image, but nothing on boxes: Textual would not draw them again."""
         if self._painter is None or not self._bands or not self.is_attached or self.terminal.is_behind:
-            return  # `_look_for_boxes` tries again
+            return  # it is called again in a moment
+        before, self._covered = self._covered, self._rows_under_boxes()
         if self._losses != self.terminal.losses:
             self._losses = self.terminal.losses
             self._painter.lost()
         at = self.content_region.offset
         self.terminal.write_to_terminal(self._painter.painted(self._bands, (at.x, at.y), self._covered))
+        if self._covered != before:
+            self.cover_changed()
+
+    def _drawn_over(self, spans: Sequence[tuple[int, int, int]]) -> None:
+        """Send the image again where text was drawn: for a box on the screen, Textual often draws all that is below."""
+        if self._painter is None or not self._bands:
+            return
+        image = self._image_region
+        rows = {y - image.y for y, left, right in spans if image.overlaps(Region(left, y, right - left, 1))}
+        if rows:
+            self._painter.overwritten(rows)
+            self._paint()
 
     def take_image_away(self) -> None:
         self._bands = []
         if self._painter is not None:
             self.terminal.write_to_terminal(self._painter.taken_away())
-
-    def _look_for_boxes(self) -> None:
-        if not self._bands:
-            return
-        before, self._covered = self._covered, self._rows_under_boxes()
-        self._paint()
-        if self._covered != before:
-            self.cover_changed()
 
     def cover_changed(self) -> object:
         """Called when other rows of an image are covered, which need characters."""
@@ -155,10 +161,14 @@ class PicturePane(Widget, can_focus=True):
         """Return the rows of the image on which something else stands."""
         if not self.display or self.screen not in self.app.screen_stack:
             return frozenset(range(self._frame.rows))
-        image = Region(*self.content_region.offset, self._frame.columns, self._frame.rows)
+        image = self._image_region
         # A box beside it has an intersection, too, which is as high as both, and 0 wide.
         boxes = filter(image.overlaps, self._boxes())
         return frozenset(y - image.y for box in boxes for y in image.intersection(box).line_range)
+
+    @property
+    def _image_region(self) -> Region:
+        return Region(*self.content_region.offset, self._frame.columns, self._frame.rows)
 
     def _boxes(self) -> Iterator[Region]:
         stack = self.app.screen_stack
@@ -189,8 +199,6 @@ class PicturePane(Widget, can_focus=True):
 
     def render_line(self, y: int) -> Strip:
         """Draw screen row `y` (Textual's line API)."""
-        if self._bands and self._painter is not None:
-            self._painter.overwritten(y, y + 1)  # it is tried again in a moment
         strip = self._strips.get(y)
         if strip is None or strip.cell_length != self.size.width:
             row = self._rows[y] if y < len(self._rows) else ()

@@ -120,6 +120,16 @@ class ViewScreen(FullScreen[bool]):
     def on_resize(self) -> None:
         self.call_after_refresh(self._lay_out)
 
+    def _compositor_refresh(self) -> None:
+        """Draw what has changed.
+
+        For a screen below a box, Textual then draws all of it once more: each picture of a map would take the camera's
+        sixels away.
+        """
+        super()._compositor_refresh()
+        if self is not self.app.screen:
+            self._repaint_required = False
+
     # -- layout -------------------------------------------------------------------------------------------------------
 
     def _lay_out(self) -> None:

@@ -138,7 +138,7 @@ def test_sixels_under_text_are_drawn_again() -> None:
     bands = bands_of(pixels, frame_of(pixels, wish(16, 16)), _CELL, "sixel", 1, PAPER)
     painter = Painter("sixel")
     painter.painted(bands, (0, 0), ())
-    painter.overwritten(3, 5)
+    painter.overwritten(range(3, 5))
     assert [place[0] for place in _PLACE.findall(painter.painted(bands, (0, 0), ()))] == ["3", "5"]
     painter.lost()
     assert len(_PLACE.findall(painter.painted(bands, (0, 0), ()))) == BANDS

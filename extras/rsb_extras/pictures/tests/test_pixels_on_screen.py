@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 from sensor_msgs.msg import Image
-from tests.console.driving import WIDE, on_main, put, shown, until
+from tests.console.driving import WIDE, on_main, put, shown, text, until
 from tests.console.scripted import route
 from textual.geometry import Offset, Region
 from textual.screen import ModalScreen
@@ -77,7 +77,7 @@ async def in_pixels(
     """Let the terminal show pixels, and open a picture."""
     app: Any = pilot.app
     assert isinstance(app, ConsoleApp)
-    app.facts = replace(app.facts, pixels=protocol, cell=cell, name=name)
+    app.facts = replace(app.facts, pixels=protocol, cell=cell, name=name)  # type: ignore[arg-type]
     written = Written()
 
     def write(sequence: str) -> None:
@@ -280,6 +280,40 @@ async def test_drive_box_stands_beside_pixels(app: ConsoleApp, pilot: Pilot[None
     if protocol == "kitty":
         assert {width for _, _, width, _ in written.shown().values()} == {image_region(app).width}
         assert sum(height for *_, height in written.shown().values()) == image_region(app).height
+
+
+@on_list
+async def test_sixels_come_back_after_text(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    """Of the screen itself, and of one below a box, which Textual draws as a whole."""
+    written = await in_pixels(pilot, "sixel")
+    await comes(pilot, viewed(halves(640, 480, 255)))
+    await until(pilot, lambda: len(written.tops()) == bands(app), "the image")
+    image = image_region(app)
+    for box in (None, Box(Region(image.right, image.y, 9, 9))):
+        if box is not None:
+            await app.push_screen(box)
+            await until(pilot, lambda box=box: not box.query_one(Static).region.overlaps(image), "a box beside it")
+        await pilot.pause(0.5)
+        before = len(written.text)
+        app.screen.refresh()
+        await until(pilot, lambda before=before: len(written.tops(before)) == bands(app), "the image again")
+
+
+@on_list
+async def test_new_title_below_box_leaves_sixels(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    """Textual would draw the whole screen below the box again."""
+    written = await in_pixels(pilot, "sixel")
+    await comes(pilot, viewed(halves(640, 480, 255)))
+    image, spans = image_region(app), list[tuple[int, int, int]]()
+    await app.push_screen(Box(Region(image.right, image.y, 9, 9)))
+    await pilot.pause(0.5)
+    app.text_drawn.subscribe(app.main, spans.extend, immediate=True)
+    pane_of(app).entitle("another title")
+    await until(pilot, lambda: "another title" in text(app), "the title")
+    await pilot.pause(0.5)
+    rows = {y for y, *_ in spans}
+    assert 0 in rows
+    assert not rows.intersection(range(image.y, image.bottom)), written.tops()
 
 
 # -- proportions
