@@ -294,8 +294,7 @@ class TerminalApp(App[ReturnType]):
         """Ctrl+C: Textual would only explain it; to an operator it means quit."""
         await self.run_action("app.quit")
 
-    def action_palette(self) -> None:
-        self.action_command_palette()
+    action_palette = App.action_command_palette
 
     def suit_terminal(self, facts: TerminalFacts) -> None:
         """Draw with the colours that the terminal has, in a theme for them."""
