@@ -149,13 +149,13 @@ def _unexpected(error: Exception, *, show: bool) -> int:
         return FAILURE
     from platformdirs import user_state_path
 
-    from rsb_bridge.config.files import owner_only, why_not_written
+    from rsb_bridge.config.files import make_folder, owner_only, why_not_written
     from rsb_bridge.model.text import several_lines
 
     log = user_state_path("rsb-console") / "crash.log"
     message = f"unexpected {type(error).__name__}: {error}".splitlines()[0]
     try:
-        log.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(log.parent)
         mode = "a" if log.exists() and log.stat().st_size < _CRASHES else "w"
         with open(log, mode, encoding="utf-8", opener=owner_only) as file:
             file.writelines(map(several_lines, traceback.format_exception(error)))

@@ -19,7 +19,7 @@ from platformdirs import user_config_path
 from textual.color import Color, ColorParseError
 from textual.theme import Theme
 
-from rsb_bridge.config.files import is_there, replace_file, why_not_written
+from rsb_bridge.config.files import is_there, make_folder, replace_file, why_not_written
 from rsb_bridge.feature import BRINGS_ACTIONS, BRINGS_SETTINGS, installed
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.wording import Wording
@@ -346,7 +346,7 @@ class Preferences:
                 written = None
             if written != {**cast("dict[str, Any]", settings), name: value}:
                 raise PreferenceError(PreferenceProblem.LAYOUT(path=self._path, line=line))
-            self._path.parent.mkdir(parents=True, exist_ok=True)
+            make_folder(self._path.parent)
             if name in feature_settings():
                 self.features[name] = feature_settings()[name].read(value)
             replace_file(self._path, text.encode())

@@ -21,7 +21,7 @@ from textual.app import App, ReturnType
 from textual.screen import SystemModalScreen
 from textual.signal import Signal
 
-from rsb_bridge.config.files import owner_only
+from rsb_bridge.config.files import make_folder, owner_only, remove_file
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import several_lines
 from rsb_console.actions.action import Action, Group
@@ -376,8 +376,8 @@ class TerminalApp(App[ReturnType]):
         self.shutdown_reason = ShutdownReason.CRASH
         path = crash_path()
         with contextlib.suppress(OSError):
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.unlink(missing_ok=True)  # one of before may be open to others
+            make_folder(path.parent)
+            remove_file(path)  # one of before may be open to others
             with open(path, "w", encoding="utf-8", opener=owner_only) as file:
                 file.write(several_lines(traceback.format_exc()))
 

@@ -10,6 +10,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, TextIO
 
+from rsb_bridge.config.folder_owner import acting_in_folder
 from rsb_bridge.model.text import several_lines
 from rsb_bridge.model.wording import Wording
 
@@ -33,6 +34,7 @@ class Shortage(Wording):
 
 class FileRefused(Wording):
     NOT_A_FILE = "is {kind}, not a file"
+    OF_ANOTHER = "is another user's file, who could read what root writes: remove it, or name another file"
 
 
 def typed_path(text: str) -> Path:
@@ -77,18 +79,29 @@ def kind_of_file(mode: int) -> str:
     return kinds[stat.S_IFMT(mode)]
 
 
-def replace_file(path: Path, content: bytes, *, like: Path | None = None) -> None:
+def replace_file(
+    path: Path, content: bytes, *, like: Path | None = None, mode: int = 0o600, owner: Path | None = None
+) -> None:
     """Replace a file atomically. If that fails, the old file stays as it was.
+
+    In another user's folder, root does it with that user's rights.
 
     Args:
         path: of the file. It may be new. A symbolic link is followed, and stays one.
-        like: a file whose mode, owner and group the new one gets. Without it, the mode is 0600, and the
-            owner and group of the replaced file stay. Both as far as this user may give them.
+        like: a file whose mode, owner and group the new one gets. Without it, the owner and group of the replaced file
+            stay. Both as far as this user may give them.
+        mode: of the file, without `like`.
+        owner: a file whose owner and group one gets that replaces nothing.
 
     Raises:
         OSError: the file cannot be written, or the path leads to something else (a device, a FIFO, a folder), or it is
             a symbolic link of another user, which could lead to any file of this one.
     """
+    with acting_in_folder(path):
+        _replace_file(path, content, like, mode, owner)
+
+
+def _replace_file(path: Path, content: bytes, like: Path | None, mode: int, owner: Path | None) -> None:
     # The kernel's own check (proc_sys_fs(5), protected_symlinks) misses files that are put in place by a rename.
     if path.is_symlink() and path.lstat().st_uid not in (0, os.geteuid()):
         raise OSError(errno.EPERM, "is a symbolic link of another user", str(path))
@@ -96,16 +109,18 @@ def replace_file(path: Path, content: bytes, *, like: Path | None = None) -> Non
     old = stat_of(target)
     if old is not None and not stat.S_ISREG(old.st_mode):
         raise OSError(errno.EINVAL, FileRefused.NOT_A_FILE(kind=kind_of_file(old.st_mode)), str(path))
-    model = like if like is not None else target
+    if old is not None and old.st_uid not in (0, os.geteuid()) and _is_for_all(target.parent):
+        raise OSError(errno.EPERM, FileRefused.OF_ANOTHER(), str(path))
+    model = like if like is not None else target if old is not None else owner
     # In the target's folder, because a rename does not cross file systems.
     handle, name = tempfile.mkstemp(prefix=f".{target.name}.", dir=target.parent)  # mkstemp's mode is 0600
     try:
         with os.fdopen(handle, "wb") as file:
-            if is_there(model):
-                # The owner first: with the mode first, this user's group could open the file for a moment.
-                give_owner(handle, model)
-                if like is not None:
-                    os.fchmod(handle, stat.S_IMODE(model.stat().st_mode))
+            found = None if model is None else stat_of(model)
+            # The owner first: with the mode first, this user's group could open the file for a moment.
+            if found is not None:
+                _give_owner(handle, found)
+            os.fchmod(handle, mode if like is None or found is None else stat.S_IMODE(found.st_mode))
             file.write(content)
             file.flush()
             # Before the rename: after a power cut, the new name must not lead to a file without contents.
@@ -120,6 +135,11 @@ def replace_file(path: Path, content: bytes, *, like: Path | None = None) -> Non
         os.fsync(handle)  # so that the rename survives a power cut
     finally:
         os.close(handle)
+
+
+def _is_for_all(folder: Path) -> bool:
+    """Whether every user may put files there, as in /tmp; only root can replace those of others."""
+    return bool(folder.stat().st_mode & stat.S_IWOTH)
 
 
 def write_whole(path: Path, text: str) -> None:
@@ -139,12 +159,16 @@ def write_whole(path: Path, text: str) -> None:
     elif stat.S_ISREG(old.st_mode):
         replace_file(path, clean.encode())
     else:
-        path.write_text(clean, encoding="utf-8")
+        with acting_in_folder(path):
+            path.write_text(clean, encoding="utf-8")
 
 
 @contextmanager
-def new_file(path: Path, newline: str | None = None) -> Iterator[TextIO]:
+def new_file(path: Path, newline: str | None = None, *, owner: Path | None = None) -> Iterator[TextIO]:
     """A text file that is not there yet, mode 0600; where writing it fails, it is not there either.
+
+    Args:
+        owner: a file whose owner and group it gets.
 
     Raises:
         OSError: it is there, or it cannot be written.
@@ -152,29 +176,51 @@ def new_file(path: Path, newline: str | None = None) -> Iterator[TextIO]:
     handle = owner_only(str(path), os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC)
     try:
         with os.fdopen(handle, "w", encoding="utf-8", newline=newline) as file:
+            if owner is not None and (model := stat_of(owner)) is not None:
+                _give_owner(handle, model)  # by its descriptor: its name may lead elsewhere by now
             yield file
     except BaseException:  # of the caller, too: half a file would refuse the next try
-        path.unlink(missing_ok=True)
+        remove_file(path)
         raise
+
+
+def remove_file(path: Path) -> None:
+    """Remove a file, if it is there.
+
+    Raises:
+        OSError: it cannot be removed.
+    """
+    with acting_in_folder(path):
+        path.unlink(missing_ok=True)
+
+
+def make_folder(path: Path, mode: int = 0o777) -> None:
+    """Make a folder and those on the way to it, as far as they are missing; `mode` is the last one's.
+
+    Raises:
+        OSError: it cannot be made.
+    """
+    with acting_in_folder(path):
+        path.mkdir(mode, parents=True, exist_ok=True)
 
 
 def owner_only(path: str, flags: int) -> int:
     """Open a file that is no symbolic link, with mode 0600 from the start: an opener for `open`."""
-    handle = os.open(path, flags | os.O_NOFOLLOW, 0o600)
-    os.fchmod(handle, 0o600)  # the umask may leave less, and an earlier file may be open to others
+    with acting_in_folder(Path(path)):
+        handle = os.open(path, flags | os.O_NOFOLLOW, 0o600)
+        try:
+            os.fchmod(handle, 0o600)  # the umask may leave less, and an earlier file may be open to others
+        except BaseException:
+            os.close(handle)
+            raise
     return handle
 
 
-def give_owner(file: int | Path, like: Path) -> None:
-    """Give a file the owner and the group of another; where only the group may be given, that.
-
-    Args:
-        file: its path or descriptor.
-    """
-    model = like.stat()
+def _give_owner(handle: int, model: os.stat_result) -> None:
+    """Give an open file the owner and the group of another; where only the group may be given, that."""
     for owner in (model.st_uid, -1):
         with suppress(OSError):  # not permitted, or a user that there is not in this container
-            os.chown(file, owner, model.st_gid)
+            os.fchown(handle, owner, model.st_gid)
             return
 
 

@@ -136,10 +136,11 @@ def fingerprint(key: Key) -> str:
     return format_fingerprint(fingerprint_of(key.secret))
 
 
-def write_key(path: Path, *, force: bool = False) -> Key:
+def write_key(path: Path, *, force: bool = False, owner: Path | None = None) -> Key:
     """Generate a key and write it to a file, mode 0600.
 
     Args:
+        owner: a file whose owner and group a new file gets.
         force: replace a file that exists. A side with the old key can no longer link.
 
     Raises:
@@ -147,7 +148,7 @@ def write_key(path: Path, *, force: bool = False) -> Key:
     """
     key = _parse(generate().decode(), path)
     try:
-        _write(key, path, force=force)
+        _write(key, path, force=force, owner=owner)
     except FileExistsError:
         raise KeyFileError(KeyFileProblem.EXISTS(path=path)) from None
     except OSError as error:
@@ -155,27 +156,28 @@ def write_key(path: Path, *, force: bool = False) -> Key:
     return key
 
 
-def copy_key(key: Key, path: Path, *, force: bool = False) -> None:
+def copy_key(key: Key, path: Path, *, force: bool = False, owner: Path | None = None) -> None:
     """Write a key to one more file, mode 0600.
 
     Args:
+        owner: as in `write_key`.
         force: replace a file that exists, atomically.
 
     Raises:
         KeyFileError: the file exists, or cannot be written.
     """
     try:
-        _write(key, path, force=force)
+        _write(key, path, force=force, owner=owner)
     except OSError as error:
         raise KeyFileError(KeyFileProblem.NOT_WRITTEN(path=path, problem=why_not_written(error, path))) from None
 
 
-def _write(key: Key, path: Path, *, force: bool) -> None:
+def _write(key: Key, path: Path, *, force: bool, owner: Path | None) -> None:
     text = base64.urlsafe_b64encode(key.secret) + b"\n"
     if force:
-        replace_file(path, text)
+        replace_file(path, text, owner=owner)
         return
-    with new_file(path) as file:
+    with new_file(path, owner=owner) as file:
         file.write(text.decode())
         file.flush()
         os.fsync(file.fileno())  # a key without contents after a power cut would lock the peer out

@@ -14,6 +14,7 @@ import msgspec
 from rsb_bridge.config.decoding import join
 from rsb_bridge.config.file_form import as_written, locations
 from rsb_bridge.config.files import replace_file, stat_of, why_not_written
+from rsb_bridge.config.folder_owner import acting_in_folder
 from rsb_bridge.config.imports.other_bridges import origin_of
 from rsb_bridge.config.validation import build, placed, validate, validate_topic
 from rsb_bridge.config.yaml_text import SessionError, dump_yaml, read_text, read_yaml, text_if_there
@@ -211,14 +212,16 @@ def save(session: Session, path: Path, opened: SessionFile | None = None, notes:
     if opened is not None and opened.is_at(path):
         opened.check_unchanged()
     try:
-        # Its folder's rights would let a file without any right to write be replaced.
-        status = stat_of(path)
-        if status is not None and not stat.S_IMODE(status.st_mode) & (stat.S_IWUSR | stat.S_IWGRP | stat.S_IWOTH):
-            raise PermissionError(errno.EACCES, SavingProblem.READ_ONLY(path=path))
-        # A second save of the same text must not replace the backup, the only copy of the earlier contents.
-        if path.is_file() and path.read_bytes() != text.encode():
-            replace_file(backup_path(path), path.read_bytes(), like=path)
-        replace_file(path, text.encode(), like=path)
+        # The backup, too, is a copy of what that folder's owner may read, and of nothing else.
+        with acting_in_folder(path):
+            # Its folder's rights would let a file without any right to write be replaced.
+            status = stat_of(path)
+            if status is not None and not stat.S_IMODE(status.st_mode) & (stat.S_IWUSR | stat.S_IWGRP | stat.S_IWOTH):
+                raise PermissionError(errno.EACCES, SavingProblem.READ_ONLY(path=path))
+            # A second save of the same text must not replace the backup, the only copy of the earlier contents.
+            if path.is_file() and path.read_bytes() != text.encode():
+                replace_file(backup_path(path), path.read_bytes(), like=path)
+            replace_file(path, text.encode(), like=path)
     except OSError as error:
         message = SavingProblem.NOT_WRITTEN(problem=why_not_written(error, path))
         raise UnwritableError(path, [Problem("", message)]) from None

@@ -171,7 +171,7 @@ class ControlSocket:
             self.socket = socket.socket(socket.AF_UNIX)
             try:
                 self.socket.bind(_address(folder, path.name))
-                os.chmod(path.name, 0o600, dir_fd=folder)
+                _close_to_others(folder, path)
                 self.socket.listen(_BACKLOG)  # until here nobody can connect
             except BaseException:
                 self.socket.close()
@@ -317,6 +317,18 @@ def _is_socket(folder: int, path: Path) -> bool:
     if not stat.S_ISSOCK(mode):
         raise ControlError(SocketProblem.NOT_A_SOCKET(path=path))
     return True
+
+
+def _close_to_others(folder: int, path: Path) -> None:
+    """Give a socket of this process mode 0600, and nothing that the folder's owner may have put in its place."""
+    handle = os.open(path.name, os.O_PATH | os.O_NOFOLLOW, dir_fd=folder)
+    try:
+        status = os.fstat(handle)
+        if not stat.S_ISSOCK(status.st_mode) or status.st_uid != os.geteuid():
+            raise ControlError(SocketProblem.NOT_A_SOCKET(path=path))
+        os.chmod(f"/proc/self/fd/{handle}", 0o600)  # noqa: PTH101 -- of this descriptor; there is no fchmod of a path's
+    finally:
+        os.close(handle)
 
 
 def _listens(folder: int, name: str) -> bool:

@@ -12,7 +12,7 @@ import sys
 import termios
 from typing import TYPE_CHECKING, Any
 
-from rsb_bridge.config.files import is_there
+from rsb_bridge.config.files import is_there, make_folder
 from rsb_bridge.config.keys import KeyFileError, fingerprint, write_key
 from rsb_bridge.config.session_file import SessionError, dump, load, save
 from rsb_bridge.model.wording import Wording
@@ -173,7 +173,7 @@ def _write_imported(imported: Imported, output: Path, *, force: bool) -> list[Pa
     if several := len(imported.sessions) > 1:
         if is_there(output) and not output.is_dir():
             raise NotADirectoryError(f"{output}: {LocalText.NEEDS_FOLDER(count=len(imported.sessions))}")
-        output.mkdir(parents=True, exist_ok=True)
+        make_folder(output)
     paths = {stem: output / f"{stem}.yaml" if several else output for stem in imported.sessions}
     keys = [path for key in imported.new_keys if not is_there(path := output / key)]
     if not force and (there := [path for path in paths.values() if is_there(path)]):

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rsb_bridge.config.files import replace_file, why_not_written
+from rsb_bridge.config.files import make_folder, remove_file, replace_file, why_not_written
 from rsb_bridge.config.session_file import SessionError, load
 from rsb_bridge.model.wording import Wording
 from rsb_console.command.shell import FAILURE, OK, USAGE, print_error, print_line, print_lines
@@ -176,10 +176,8 @@ def install_unit(arguments: Namespace) -> int:
         if old is not None and old != text and not arguments.force:
             print_error(ServiceText.OTHER_UNIT(path=path, session=arguments.session))
             return FAILURE
-        path.parent.mkdir(parents=True, exist_ok=True)
-        replace_file(path, text.encode())
-        # `replace_file` makes files 0600; systemd warns of a unit that only its owner can read.
-        path.chmod(_READABLE)
+        make_folder(path.parent)
+        replace_file(path, text.encode(), mode=_READABLE)  # systemd warns of a unit that only its owner can read
     except OSError as error:
         hint = ": run it with sudo" if isinstance(error, PermissionError) and arguments.system else ""
         print_error(f"{path}: cannot be written: {why_not_written(error, path)}{hint}")
@@ -215,7 +213,7 @@ def uninstall_unit(arguments: Namespace) -> int:
         if not path.read_text(encoding="utf-8").startswith(MARK) and not arguments.force:
             print_error(f"{path}: not written by `service install`; --force removes it")
             return FAILURE
-        path.unlink()
+        remove_file(path)
     except OSError as error:
         print_error(f"{path}: cannot be removed: {error.strerror}")
         return FAILURE

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import re
 import socket
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
+from functools import wraps
 from itertools import chain, count
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Concatenate, NamedTuple, ParamSpec, TypeVar
 
 import msgspec
 
-from rsb_bridge.config.files import give_owner, is_there
+from rsb_bridge.config.files import is_there, remove_file
+from rsb_bridge.config.folder_owner import acting_as, acting_in_folder, folder_owner
 from rsb_bridge.config.keys import (
     Key,
     KeyFileError,
@@ -34,6 +36,12 @@ from rsb_bridge.config.validation import validate
 from rsb_bridge.feature import installed
 from rsb_bridge.model.session import Client, Session
 from rsb_bridge.model.wording import Wording
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
 
 _ANY_ADDRESS = ("0.0.0.0", "::")  # noqa: S104 (looked for, not bound)
 _FAR_AWAY = (("192.0.2.1", socket.AF_INET), ("2001:db8::1", socket.AF_INET6))  # RFC 5737, RFC 3849: nobody's
@@ -82,6 +90,50 @@ class ChangedFile(NamedTuple):
     key: Key | None
 
 
+def _in_its_folder(
+    work: Callable[Concatenate[Path, _P], _R],
+) -> Callable[Concatenate[Path, _P], _R]:
+    """Do something to a session file with the rights of the user who owns its folder, if root does it."""
+
+    @wraps(work)
+    def done(path: Path, /, *arguments: _P.args, **named: _P.kwargs) -> _R:
+        with acting_in_folder(path):
+            return work(path, *arguments, **named)
+
+    return done
+
+
+def _reading_keys(path: Path) -> AbstractContextManager[None]:
+    """Read the key files that a session names with the rights of its owner.
+
+    With more, root would copy to that owner whatever key the file names.
+    """
+    return acting_as(_owner(path), path)
+
+
+def _writing_key(path: Path, key_at: Path) -> AbstractContextManager[None]:
+    """Write a key file that a session names with the rights of its owner.
+
+    Beside the session, it is the folder's owner who writes, but replaces no file of anybody else.
+    """
+    owner = _owner(path)
+    if key_at.parent == path.parent:
+        try:
+            is_writable = key_at.lstat().st_uid == owner
+        except FileNotFoundError:
+            is_writable = True
+        if is_writable:
+            return acting_in_folder(path)
+    return acting_as(owner, path)
+
+
+def _owner(path: Path) -> int:
+    """Return the user who decides what a session file says."""
+    of_folder = folder_owner(path)
+    return path.stat().st_uid if of_folder is None else of_folder
+
+
+@_in_its_folder
 def open_server(path: Path) -> SessionFile:
     """Read a server's session file.
 
@@ -113,6 +165,7 @@ def key_path_of(file: SessionFile, client: Client) -> Path | None:
     return None if name is None or not file.session.use_encryption else key_path(file.path.parent, name)
 
 
+@_in_its_folder
 def add_client(path: Path, client: Client) -> ChangedFile:
     """Add a client to a server's session file, and create its key.
 
@@ -133,18 +186,26 @@ def add_client(path: Path, client: Client) -> ChangedFile:
     if key_at is not None and is_there(key_at):
         if made_here:
             raise ClientError(ClientFileProblem.KEY_EXISTS(path=key_at))
-        key = read_key(key_at)
+        with _reading_keys(path):
+            key = read_key(key_at)
     elif key_at is not None:
-        key, is_new = write_key(key_at), True
-        give_owner(key_at, path)  # the server's user has to read it
+        with _writing_key(path, key_at):
+            key, is_new = write_key(key_at, owner=path), True  # the server's user has to read it
     try:
-        _check_key_of_its_own(file, session, client, key)
+        with _reading_keys(path):
+            _check_key_of_its_own(file, session, client, key)
         return ChangedFile(save(session, path, file), client, key_at, key)
     except BaseException:
         # This holds after a Ctrl-C, too: a second attempt would refuse the key file of the first one.
         if is_new and key_at is not None:
-            key_at.unlink()
+            _remove_key(path, key_at)
         raise
+
+
+def _remove_key(path: Path, key_at: Path) -> None:
+    """Remove a key file that a session names."""
+    with _writing_key(path, key_at):
+        remove_file(key_at)
 
 
 def _check_key_of_its_own(file: SessionFile, session: Session, client: Client, key: Key | None) -> None:
@@ -163,6 +224,7 @@ def _check_key_of_its_own(file: SessionFile, session: Session, client: Client, k
         raise ClientError(problem)
 
 
+@_in_its_folder
 def remove_client(path: Path, name: str) -> ChangedFile:
     """Remove a client from a server's session file. Its key file stays.
 
@@ -176,6 +238,7 @@ def remove_client(path: Path, name: str) -> ChangedFile:
     return ChangedFile(saved, client, key_path_of(file, client), None)
 
 
+@_in_its_folder
 def rekey_client(path: Path, name: str) -> ChangedFile:
     """Create a new key for a client of a server's session file; all its earlier keys become invalid.
 
@@ -197,14 +260,15 @@ def rekey_client(path: Path, name: str) -> ChangedFile:
             # The session is saved before the key: a next key that is still in the file would count with the new one.
             client = msgspec.structs.replace(client, next_key_file=None)
             file = save(with_changed_client(file.session, client), path, file)
-        return ChangedFile(file, client, key_at, write_key(key_at, force=True))
+        with _writing_key(path, key_at):
+            return ChangedFile(file, client, key_at, write_key(key_at, force=True, owner=path))
     renewed = msgspec.structs.replace(client, key_file=free_key_file(path.parent, name), next_key_file=None)
     key_at = key_path_of(file, renewed)
     assert key_at is not None
     session = with_changed_client(file.session, renewed)
     edited_text(session, path, file)  # before there is a key
-    key = write_key(key_at)
-    give_owner(key_at, path)
+    with _writing_key(path, key_at):
+        key = write_key(key_at, owner=path)
     return ChangedFile(save(session, path, file), renewed, key_at, key)
 
 
@@ -337,6 +401,7 @@ def fingerprint_or_problem(key_at: Path | None) -> tuple[Key | None, str]:
         return None, str(error)
 
 
+@_in_its_folder
 def begin_rotation(path: Path, name: str) -> ChangedFile:
     """Create a client's next key, valid together with the present one. Return the next key.
 
@@ -358,15 +423,16 @@ def begin_rotation(path: Path, name: str) -> ChangedFile:
     session = with_changed_client(file.session, renewed)
     edited_text(session, path, file)  # before there is a key
     key_at = key_path(path.parent, following)
-    key = write_key(key_at)
+    with _writing_key(path, key_at):
+        key = write_key(key_at, owner=path)
     try:
-        give_owner(key_at, path)
         return ChangedFile(save(session, path, file), renewed, key_at, key)
     except BaseException:
-        key_at.unlink()
+        _remove_key(path, key_at)
         raise
 
 
+@_in_its_folder
 def finish_rotation(path: Path, name: str) -> ChangedFile:
     """Replace a client's old key by the next one, in the same file. Return that key.
 
@@ -386,7 +452,8 @@ def finish_rotation(path: Path, name: str) -> ChangedFile:
         raise ClientError(ClientFileProblem.NO_NEXT_KEY(name=name))
     check_own_next_key(file.session.next_key_file, client.next_key_file, name)
     current, following = places
-    key = read_key(following)
+    with _reading_keys(path):
+        key = read_key(following)
     others = {place for each in file.session.accepted_clients if each.name != name for place in key_places(file, each)}
     is_shared = current in others
     key_file = client.next_key_file if is_shared else client.key_file
@@ -394,8 +461,9 @@ def finish_rotation(path: Path, name: str) -> ChangedFile:
     session = with_changed_client(file.session, renewed)
     edited_text(session, path, file)
     if not is_shared:
-        copy_key(key, current, force=True)
+        with _writing_key(path, current):
+            copy_key(key, current, force=True, owner=path)
     saved = save(session, path, file)
     if not is_shared:
-        following.unlink(missing_ok=True)
+        _remove_key(path, following)
     return ChangedFile(saved, renewed, following if is_shared else current, key)

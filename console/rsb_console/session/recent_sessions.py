@@ -6,7 +6,7 @@ from pathlib import Path
 
 from platformdirs import user_state_path
 
-from rsb_bridge.config.files import replace_file
+from rsb_bridge.config.files import make_folder, replace_file
 
 LIMIT = 20  # sessions that are remembered; a round figure: the list has a filter
 
@@ -33,5 +33,5 @@ def remember(path: Path) -> None:
     # A relative path would mean another file in another folder.
     path = path.resolve()
     newest = [path, *(other for other in recent_sessions() if other != path)][:LIMIT]
-    recents_path().parent.mkdir(parents=True, exist_ok=True)
+    make_folder(recents_path().parent)
     replace_file(recents_path(), "".join(f"{each}\n" for each in newest).encode())

@@ -20,6 +20,7 @@ from textual.drivers import linux_driver
 from textual.drivers.linux_driver import LinuxDriver
 from textual.screen import Screen
 
+from rsb_bridge.config.files import make_folder, owner_only
 from rsb_console.terminal import terminal_facts
 from rsb_console.terminal.pulse import KIND, WHO_ARE_YOU, Pulse, without_answers
 from rsb_console.terminal.tmux import tmux
@@ -158,10 +159,8 @@ def terminal_to_itself(log: Path) -> Iterator[int]:
     sys.stdout.flush()  # earlier output is for the terminal, not for the log
     terminal, errors = os.dup(1), os.dup(2)
     try:
-        log.parent.mkdir(parents=True, exist_ok=True)
-        # A symbolic link that another user has put there is not followed.
-        target = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_APPEND | os.O_NOFOLLOW, 0o600)
-        os.fchmod(target, 0o600)  # one of before may be open to others
+        make_folder(log.parent)
+        target = owner_only(str(log), os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_APPEND)
     except OSError:
         target = os.open(os.devnull, os.O_WRONLY)
     os.dup2(target, 1)

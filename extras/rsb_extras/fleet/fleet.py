@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple, Protocol
 import msgspec
 from platformdirs import user_state_path
 
-from rsb_bridge.config.files import replace_file
+from rsb_bridge.config.files import make_folder, replace_file
 from rsb_bridge.model.limits import TEXT_LENGTH, TIME
 from rsb_bridge.model.names import natural_order
 from rsb_bridge.model.robot_summary import RobotState, RobotSummary, drop_repeated_faults
@@ -348,7 +348,7 @@ class Memory:
         if self._path is None:
             return
         with contextlib.suppress(OSError):
-            self._path.parent.mkdir(parents=True, exist_ok=True)
+            make_folder(self._path.parent)
             others = {key: robot for key, robot in _newest(_read(self._path)).items() if key not in self._changed}
             own = {key: robot for key, robot in self._robots.items() if key in self._changed}
             robots = _newest((others | own).values())

@@ -9,6 +9,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rsb_bridge.config.files import make_folder, owner_only
 from rsb_bridge.config.state_folder import state_folder
 from rsb_bridge.model.names import file_stem
 
@@ -66,11 +67,11 @@ class Claim:
     """
 
     def __init__(self, folder: Path, name: str, role: str) -> None:
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        make_folder(folder, 0o700)
         for number in range(1, _BRIDGES_OF_A_NAME + 1):
             stem = file_stem(name, number)
             # A file of its own: the others are replaced by renames, and a lock would stay with the old one.
-            lock = os.open(folder / f"{stem}{_LOCK}", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
+            lock = owner_only(str(folder / f"{stem}{_LOCK}"), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC)
             try:
                 if _take(lock, role):
                     self._lock = lock

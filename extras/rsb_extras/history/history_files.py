@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import msgspec
 import zstandard
 
-from rsb_bridge.config.files import replace_file, why_not_written
+from rsb_bridge.config.files import owner_only, replace_file, why_not_written
+from rsb_bridge.config.folder_owner import acting_in_folder
 from rsb_bridge.model.limits import TIME
 from rsb_bridge.model.names import file_stem
 from rsb_bridge.model.snapshot import Event, Level
@@ -96,9 +97,8 @@ class EventFile:
         return False
 
     def _open(self) -> None:
-        fd = os.open(self.path, os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
+        fd = owner_only(str(self.path), os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC)
         try:
-            os.fchmod(fd, 0o600)  # one of before may be open to others
             self._size = os.fstat(fd).st_size
             if self._size and os.pread(fd, 1, self._size - 1) != b"\n":  # a line that a killed process began
                 self._size += os.write(fd, b"\n")
@@ -108,10 +108,11 @@ class EventFile:
         self._fd = fd
 
     def _rotate(self) -> None:
-        for number in range(FILES - 1, 0, -1):
-            newer = numbered(self.path, number - 1)
-            with contextlib.suppress(FileNotFoundError):
-                newer.replace(numbered(self.path, number))
+        with acting_in_folder(self.path):
+            for number in range(FILES - 1, 0, -1):
+                newer = numbered(self.path, number - 1)
+                with contextlib.suppress(FileNotFoundError):
+                    newer.replace(numbered(self.path, number))
 
 
 def numbered(path: Path, number: int) -> Path:

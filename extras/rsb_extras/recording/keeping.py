@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from msgspec.structs import replace
 
 from rsb_bridge.cdr.description import DescriptionError
-from rsb_bridge.config.files import why_not_written
+from rsb_bridge.config.files import make_folder, why_not_written
 from rsb_bridge.config.state_folder import state_folder
 from rsb_bridge.engine.part import EnginePart
 from rsb_bridge.link.extension import LinkError
@@ -199,7 +199,7 @@ class Keeping(EnginePart):
         self, folder: Path, stem: str, window: _Window, described: Mapping[TopicSpec, RecordedTopic]
     ) -> KeptRecording:
         """Write a file, on a thread."""
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        make_folder(folder, 0o700)
         if (size := sum(each.stat().st_size for each in folder.glob("*.mcap"))) > FOLDER_SIZE:
             raise LinkError(KeepProblem.FOLDER_FULL(folder=folder, size=size / 1e9))
         path = _free_path(folder, stem)

@@ -8,7 +8,7 @@ from typing import IO, TYPE_CHECKING, Any, NamedTuple
 
 import yaml
 
-from rsb_bridge.config.files import owner_only
+from rsb_bridge.config.files import owner_only, remove_file
 from rsb_bridge.model.qos import TIMES
 from rsb_bridge.model.wording import Wording
 from rsb_extras.recording.message_definition import message_definition
@@ -145,5 +145,5 @@ def new_recording(path: Path) -> Iterator[McapFile]:
             yield recording
             recording.finish()
     except BaseException:  # of the caller, too: half a recording is of no use
-        path.unlink(missing_ok=True)
+        remove_file(path)
         raise
