@@ -52,12 +52,13 @@ class EngineApi(ABC):
     Attributes:
         read_only: whether the engine refuses this console all changes.
         may_take: whether this console may take an arming from its holder without asking.
-        same_machine: whether the files that the engine names are on this machine.
+        trusted: whether the engine runs on this machine, as this user or root: what it says is taken as it is, and the
+            files that it names are used.
     """
 
     read_only: bool = False
     may_take: bool = True
-    same_machine: bool = True
+    trusted: bool = True
 
     def __enter__(self) -> Self:
         return self

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import ctypes
 import errno
 import os
-import platform
-import pwd
 import stat
 import threading
 from contextlib import contextmanager
@@ -108,6 +105,8 @@ def acting_as(uid: int | None, path: Path) -> Iterator[None]:
 
 def _groups_of(uid: int, path: Path) -> tuple[int, list[int]]:
     """Return a user's own group, and all groups."""
+    import pwd  # noqa: PLC0415 -- only root needs it, and seldom, here and below
+
     try:
         user = pwd.getpwuid(uid)
     except KeyError:  # as in a container: then a folder of that user's knows the group
@@ -125,6 +124,9 @@ def _status(path: Path) -> os.stat_result | None:
 
 def _become(uid: int, group: int, groups: list[int]) -> bool:
     """Give this thread alone a user's rights to files; return whether it has them."""
+    import ctypes  # noqa: PLC0415
+    import platform  # noqa: PLC0415
+
     # With `os.seteuid`, every thread would have them: one that decides who may attach would let that user in.
     libc, number = ctypes.CDLL(None), _SETGROUPS.get(platform.machine())
     given = (ctypes.c_uint32 * len(groups))(*groups)

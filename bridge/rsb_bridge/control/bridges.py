@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from rsb_bridge.api import EngineApi
+    from rsb_bridge.control.protocol import ToConsole
     from rsb_bridge.model.session import Session
 
 _ASKED_FOR = 2.0
@@ -38,12 +39,14 @@ class RunningBridge:
 
     Attributes:
         path: of its control socket.
+        uid: the user as whom it runs, as the kernel says, like `pid`.
         info: its description, or None if it does not answer, or not to this version.
         problem: the reason that `info` is None, or an empty string.
     """
 
     path: Path
     pid: int
+    uid: int
     info: BridgeInfo | None
     problem: str = ""
 
@@ -51,6 +54,23 @@ class RunningBridge:
     def name(self) -> str:
         """The operator's name for it: the socket's name, which no other bridge of the same user has."""
         return self.path.name.removesuffix(control_sockets.SUFFIX)
+
+    @property
+    def trusted(self) -> bool:
+        """Whether it runs as this user or root: what it says is true, as far as this user can tell."""
+        return control_sockets.may_control(self.uid)
+
+    @property
+    def file(self) -> Path | None:
+        """The path of its session file, or None if it has none, or another user's process names it."""
+        return Path(self.info.file) if self.trusted and self.info is not None and self.info.file else None
+
+    def runs(self, path: Path) -> bool:
+        """Whether it says that it runs a session file."""
+        if self.file is not None:
+            return self.file.resolve() == path.resolve()
+        # No path of another user's is looked at, but compared.
+        return self.info is not None and self.info.file in (str(path.absolute()), os.path.realpath(path))
 
     @property
     def attach_command(self) -> str:
@@ -89,20 +109,34 @@ def ask(path: Path) -> RunningBridge:
         ControlError: nobody does, or it may not be used.
     """
     with control_sockets.connect(path, _ASKED_FOR) as connection:
-        pid, _, _ = control_sockets.peer_of(connection)
+        pid, uid, _ = control_sockets.peer_of(connection)
+        deadline = time.monotonic() + _ASKED_FOR
         try:
             connection.sendall(protocol.encode(protocol.hello(read_only=True)))
             frames = protocol.frames_to_console()
             while data := connection.recv(_READ_SIZE):
                 for message in frames.feed(data):
+                    if not control_sockets.may_control(uid):
+                        message = _cleaned(message)  # noqa: PLW2901 -- the same one
                     if isinstance(message, ConsoleWelcome):
-                        return RunningBridge(path, pid, message.bridge)
+                        return RunningBridge(path, pid, uid, message.bridge)
                     if isinstance(message, HelloRefused):
-                        return RunningBridge(path, pid, None, message.reason)
+                        return RunningBridge(path, pid, uid, None, message.reason)
+                # One that never comes to an end must not hold up a command.
+                if (left := deadline - time.monotonic()) <= 0:
+                    return RunningBridge(path, pid, uid, None, AttachProblem.SILENT())
+                connection.settimeout(left)
         except (OSError, ControlProtocolError) as error:
             problem = AttachProblem.SILENT() if isinstance(error, TimeoutError) else str(error)
-            return RunningBridge(path, pid, None, problem)
-    return RunningBridge(path, pid, None, "it closed the connection")
+            return RunningBridge(path, pid, uid, None, problem)
+    return RunningBridge(path, pid, uid, None, "it closed the connection")
+
+
+def _cleaned(message: ToConsole) -> ToConsole:
+    """Clean a message of another user's bridge."""
+    from rsb_bridge.control.states import clean  # noqa: PLC0415 -- only root meets such a bridge
+
+    return clean(message)
 
 
 def running_bridges(environ: Mapping[str, str] = os.environ) -> list[RunningBridge]:

@@ -15,7 +15,14 @@ from typing import TYPE_CHECKING, Any, Generic, Protocol
 
 from rsb_bridge.api import EngineApi, EngineError, InvalidRequestError, NoAnswerError
 from rsb_bridge.control import protocol
-from rsb_bridge.control.control_sockets import AttachProblem, ControlError, NotServedError, try_connect
+from rsb_bridge.control.control_sockets import (
+    AttachProblem,
+    ControlError,
+    NotServedError,
+    may_control,
+    peer_of,
+    try_connect,
+)
 from rsb_bridge.control.protocol import CommandRequest, ControlProtocolError, RequestProblem, UnexpectedMessage
 from rsb_bridge.control.states import StateReceiver, UntrustedMessages
 from rsb_bridge.model.clock import Clock
@@ -80,8 +87,8 @@ class Connector(Protocol):
     """Connects to one engine, any number of times."""
 
     @property
-    def same_machine(self) -> bool:
-        """Whether the engine is on this machine: its files are this machine's files."""
+    def uid(self) -> int | None:
+        """The user who serves the newest connection, as this machine's kernel says; None on another machine."""
 
     @property
     def text(self) -> str:
@@ -98,7 +105,7 @@ class Connector(Protocol):
 class UnixSocket:
     """The control socket of an engine on this machine."""
 
-    same_machine = True
+    uid: int | None = None
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -110,6 +117,7 @@ class UnixSocket:
             while (connection := try_connect(self.path)) is None:  # noqa: ASYNC110 — the kernel tells of no event
                 await asyncio.sleep(_BUSY_TRIED_EVERY)
         try:
+            _, self.uid, _ = peer_of(connection)
             return _SocketConnection(*await asyncio.open_unix_connection(sock=connection))
         except BaseException:
             connection.close()
@@ -171,18 +179,17 @@ class RemoteEngine(EngineApi):
         given_at: the time (s) of `Clock.steady` when the operator gave the commands that this engine gets, or None for
             the time when it gets them.
         bridge: the description of its bridge; like `read_only` and `may_take`, as the bridge says from `start` on.
-        same_machine: whether the files that the bridge names are this machine's.
+        uid: the user who serves the newest connection, as this machine's kernel says; None on another machine.
     """
 
     def __init__(self, where: Path | Connector, *, read_only: bool = False, clock: Clock | None = None) -> None:
         self._way: Connector = UnixSocket(where) if isinstance(where, Path) else where
-        self.same_machine = self._way.same_machine
         self.read_only = self._wants_read_only = read_only
         self.given_at: float | None = None
         self.bridge: BridgeInfo
         self._clock = clock or Clock()
         self._log = EventLog(self._clock)
-        self._untrusted = None if self.same_machine else UntrustedMessages(time.monotonic())
+        self._cleaner = UntrustedMessages(time.monotonic())
         self._shown: Snapshot
         self._session: Session
         self._waits_for_operator = False
@@ -227,9 +234,13 @@ class RemoteEngine(EngineApi):
         return 0.0 if asked is None else time.monotonic() - max(asked, self._heard_at)
 
     @property
+    def uid(self) -> int | None:
+        return self._way.uid
+
+    @property
     def file_here(self) -> Path | None:
-        """The path of the bridge's session file, or None without a file on this machine."""
-        return Path(self.bridge.file) if self.bridge.file is not None and self.same_machine else None
+        """The path of the bridge's session file, or None if no bridge that is trusted names one."""
+        return Path(self.bridge.file) if self.bridge.file is not None and self.trusted else None
 
     def start(self) -> None:
         self._loop = asyncio.new_event_loop()
@@ -343,6 +354,8 @@ class RemoteEngine(EngineApi):
         connection = await self._way.open(ANSWERS_WITHIN)
         try:
             self._connection = connection
+            # Root attaches to services, too, whose users may say anything.
+            self.trusted = self.uid is not None and may_control(self.uid)
             self._send(protocol.hello(read_only=self._wants_read_only))
             frames = protocol.frames_to_console()
             complete = False
@@ -354,8 +367,8 @@ class RemoteEngine(EngineApi):
                     return AttachProblem.ENDED()
                 self._heard_at = time.monotonic()
                 for message in frames.feed(data):
-                    if self._untrusted is not None:
-                        message = self._untrusted(message, time.monotonic())  # noqa: PLW2901 -- the same one, cleaned
+                    if not self.trusted:
+                        message = self._cleaner(message, time.monotonic())  # noqa: PLW2901 -- the same one, cleaned
                     if isinstance(message, (protocol.Goodbye, protocol.HelloRefused)):
                         self._goodbye = message.reason if isinstance(message, protocol.Goodbye) else ""
                         return message.reason
@@ -412,7 +425,7 @@ class RemoteEngine(EngineApi):
         if self._lost:
             text = AttachedAgain.RESTARTED if another else AttachedAgain.SAME
             self._log.add(Level.INFO, EventCode.ATTACH_AGAIN, text(name=self.name, pid=bridge.pid))
-        self._receiver = StateReceiver(bridge, trusted=self._untrusted is None)
+        self._receiver = StateReceiver(bridge, trusted=self.trusted)
         self._poll()
         self._send(protocol.FollowEvents(self._followed))
 

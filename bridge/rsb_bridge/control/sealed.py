@@ -382,7 +382,7 @@ class OperatorConnector:
         at: the engine's address in a network where engines announce themselves, or empty.
     """
 
-    same_machine = False
+    uid = None
 
     def __init__(self, connect: Connect, operator: str, key: Key, engine: str, at: str = "") -> None:
         self._connect = connect

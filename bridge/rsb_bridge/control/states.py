@@ -1,7 +1,8 @@
-"""An engine's messages to a console: its state as differences, and all of them cleaned if another machine sends them.
+"""An engine's messages to a console: its state as differences, and all of them cleaned if they come from elsewhere.
 
-An engine on this machine is the user's own process and is trusted. An engine over a network may have been taken over,
-and the operator's key is no reason to trust it: its texts reach terminals, and its figures are drawn.
+An engine of this user's or root's on this machine is trusted. One over a network, or a service that root attaches to,
+may have been taken over, and the operator's key is no reason to trust it: its texts reach terminals, and its figures
+are drawn.
 """
 
 from __future__ import annotations
@@ -127,7 +128,7 @@ class StateReceiver:
     """The state of a bridge as a console has received it.
 
     Args:
-        trusted: whether the bridge is on this machine. Messages of other bridges are limited and cleaned.
+        trusted: as in `rsb_bridge.api.EngineApi`. Messages of other bridges are limited and cleaned.
 
     Attributes:
         snapshot: the newest, or None if none is complete yet.

@@ -46,6 +46,7 @@ class ClientCommandProblem(Wording):
     )
     NOT_FINISHED = "not finished: both keys of {name} stay valid"
     SESSION_UNKNOWN = "{problem}: name the server's session file"
+    OF_ANOTHER_USER = "{name} is another user's bridge, which may name any file: name the server's session file"
     BRIDGE_REFUSES = (
         "{path} is saved, but the bridge that runs it refuses: {reason}; restart it, or `rsb-console reload {name}`"
     )
@@ -252,7 +253,7 @@ def _session_path(arguments: Namespace) -> Path:
         path: Path = arguments.session
         for each in () if is_there(path) else running_bridges():
             if each.name == str(path) and each.info is not None and each.info.file:
-                return Path(each.info.file)
+                return _file_of(each)
         return path  # opening it gives the reason if it is missing
     servers = []
     if arguments.bridge is None and arguments.control is None:
@@ -263,15 +264,22 @@ def _session_path(arguments: Namespace) -> Path:
         raise NoBridgeError(ClientCommandProblem.SESSION_UNKNOWN(problem=error)) from None
     if bridge.info is None or bridge.info.file is None:
         raise UsageError(f"{bridge.name} runs a session without a file: name the session file")
-    return Path(bridge.info.file)
+    return _file_of(bridge)
+
+
+def _file_of(bridge: RunningBridge) -> Path:
+    if bridge.file is None:
+        raise UsageError(ClientCommandProblem.OF_ANOTHER_USER(name=bridge.name))
+    return bridge.file
 
 
 def _server_of(path: Path, control: Path | None) -> RunningBridge | None:
     """Return the bridge on this machine that runs a session file, or None."""
     if control is not None:
         return ask(control)
-    files = ((each, each.info.file) for each in running_bridges() if each.info is not None)
-    return next((each for each, file in files if file is not None and Path(file).resolve() == path.resolve()), None)
+    found = [each for each in running_bridges() if each.runs(path)]
+    # Another user's bridge that only says so must not hide the one that does.
+    return min(found, key=lambda each: not each.trusted, default=None)
 
 
 def _tell(arguments: Namespace, path: Path, command: Command[None], effect: str, effect_if_linked: str) -> str:

@@ -48,6 +48,7 @@ NAME_WIDTH = 30
 class KeyText(Wording):
     """Texts about key files."""
 
+    ELSEWHERE = "{name} runs on another machine, or as another user: look at its key files there."
     IN_USE = "in use by a link, written {when}"
     WRITTEN = "written {when}"
     REPLACE = "Replace the key in {file}?"
@@ -146,8 +147,8 @@ class KeysScreen(ModalScreen[None]):
         links = () if engine is None else engine.snapshot().links
         used = [link.fingerprint for link in links if link.state is State.OK]
         files = self._made
-        # A bridge elsewhere has other files under these names.
-        if engine is not None and engine.same_machine:
+        # A bridge elsewhere has other files under these names, and another user's may name any.
+        if engine is not None and engine.trusted:
             files = files | key_files(engine.session, self.console.base)
         self.table.show([facts_of(path, user, used, now) for path, user in files.items()])
         self.on_selectable_list_cursor_moved()
@@ -156,8 +157,8 @@ class KeysScreen(ModalScreen[None]):
         file, engine = self.table.selected, self.console.engine
         if file is not None:
             note = file.note
-        elif engine is not None and not engine.same_machine:
-            note = f"The key files of {engine.session.name} are on its own machine."
+        elif engine is not None and not engine.trusted:
+            note = KeyText.ELSEWHERE(name=engine.session.name)
         else:
             note = "No key file yet." if self.console.readonly else "No key file yet: g makes one."
         self._note.set_text(note)

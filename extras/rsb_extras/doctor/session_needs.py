@@ -292,12 +292,7 @@ def _is_address(host: str) -> bool:
 
 def _own_bridge(path: Path, environ: Mapping[str, str]) -> RunningBridge | None:
     """Return the bridge that runs this session file on this machine."""
-    # The bridge may have been started by a link to the file.
-    file = os.path.realpath(path)
-    for bridge in running_bridges(environ):
-        if bridge.info is not None and bridge.info.file and os.path.realpath(bridge.info.file) == file:
-            return bridge
-    return None
+    return next((bridge for bridge in running_bridges(environ) if bridge.runs(path)), None)
 
 
 def _keys(session: Session, path: Path) -> Iterator[Finding]:

@@ -219,7 +219,7 @@ class FleetConnector:
         unproven: engines of the name that did not prove the key when the last connection was made.
     """
 
-    same_machine = False
+    uid = None
 
     def __init__(self, file: FleetFile, engine: str) -> None:
         self.unproven = 0
