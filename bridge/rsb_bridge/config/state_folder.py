@@ -9,6 +9,9 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+SERVICES = Path("/var/lib/rsb-console")
+"""The folder of bridges that systemd runs, `StateDirectory=` of their unit."""
+
 
 def state_folder(environ: Mapping[str, str]) -> Path:
     """Return the folder that this process writes to.
@@ -20,3 +23,8 @@ def state_folder(environ: Mapping[str, str]) -> Path:
         return Path(service)
     base = environ.get("XDG_STATE_HOME")
     return (Path(base) if base else Path(os.path.expanduser("~/.local/state"))) / "rsb-console"  # noqa: PTH111 -- never fails
+
+
+def searched_folders(environ: Mapping[str, str]) -> list[Path]:
+    """Return the folders in which this user may find what bridges have kept."""
+    return list(dict.fromkeys((state_folder(environ), SERVICES)))

@@ -6,28 +6,21 @@ import contextlib
 import errno
 import fcntl
 import os
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rsb_bridge.config.files import make_folder, owner_only
-from rsb_bridge.config.state_folder import state_folder
+from rsb_bridge.config.state_folder import searched_folders
 from rsb_bridge.model.names import file_stem
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+    from pathlib import Path
 
-SERVICES = Path("/var/lib/rsb-console")
-"""The folder of bridges that systemd runs, `StateDirectory=` of their unit."""
 EVENTS, HISTORY, _LOCK = ".jsonl", ".history", ".lock"
 _BRIDGES_OF_A_NAME = 9
 """A round figure: the tenth one is refused, and commands look for files under each number."""
 _ROLE_LENGTH = 20
 """Bytes that are read of a lock's file: no role is as long."""
-
-
-def searched_folders(environ: Mapping[str, str]) -> list[Path]:
-    """Return the folders in which this user may find what bridges have kept."""
-    return list(dict.fromkeys((state_folder(environ), SERVICES)))
 
 
 class Files:

@@ -78,7 +78,7 @@ class RecordingFeature(Feature):
         parser.add_argument(
             "--seconds", type=float, default=None, metavar="N", help="how many; without it, all that is kept"
         )
-        output = "move the file there, on the bridge's machine; without it, the bridge names it"
+        output = "move the file there, on the bridge's machine (root copies it); without it, the bridge names it"
         complete(parser.add_argument("--output", metavar="FILE", help=output), "files")
 
     def actions(self) -> Iterable[Action]:

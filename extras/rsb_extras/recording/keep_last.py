@@ -13,6 +13,10 @@ from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.wire.records import Count, Name, Seconds
 
 TOPICS_NAMED = 10
+RECORDINGS = "recordings"
+"""The name of their folder, in the bridge's state folder."""
+LARGEST = 512 << 20
+"""Bytes of a recording that is copied. `record_rules.MEGABYTES` allows half as much of messages."""
 _PATH = 4096
 """Characters of a path: Linux's PATH_MAX."""
 

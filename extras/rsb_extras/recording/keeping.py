@@ -25,7 +25,7 @@ from rsb_bridge.ros.ros_interface import TopicSpec
 from rsb_bridge.route.receiver import Receiver
 from rsb_bridge.route.sender import Sender
 from rsb_extras.recording import RECORD, record_limits
-from rsb_extras.recording.keep_last import TOPICS_NAMED, KeepLast, KeptRecording
+from rsb_extras.recording.keep_last import RECORDINGS, TOPICS_NAMED, KeepLast, KeptRecording
 from rsb_extras.recording.mcap_file import McapError, RecordedTopic, new_recording
 from rsb_extras.recording.message_definition import message_definition
 from rsb_extras.recording.message_ring import MessageRing, RingMessage, of_last
@@ -185,7 +185,7 @@ class Keeping(EnginePart):
         return found
 
     async def _written(self, window: _Window, described: Mapping[TopicSpec, RecordedTopic]) -> KeptRecording:
-        folder = state_folder(os.environ) / "recordings"
+        folder = state_folder(os.environ) / RECORDINGS
         stem = f"{file_stem(self._context.session.name)}-{datetime.fromtimestamp(self._context.wall()):%Y%m%d-%H%M%S}"
         try:
             return await asyncio.to_thread(self._write, folder, stem, window, described)

@@ -30,4 +30,6 @@ async def record_beside(console: Console, _: Sequence[RouteSnapshot]) -> None:
     except EngineError as error:
         console.notify(str(error), title="Not recorded", severity="warning", markup=False, timeout=15)
     else:
-        console.notify("\n".join(lines_about(kept)), title="Recorded", markup=False, timeout=15)
+        console.notify(
+            "\n".join(lines_about(kept, here=console.engine.trusted)), title="Recorded", markup=False, timeout=15
+        )

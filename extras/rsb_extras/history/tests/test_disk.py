@@ -17,11 +17,11 @@ import pytest
 import zstandard
 from tests.support.waiting import eventually
 
-from rsb_bridge.config.state_folder import state_folder
+from rsb_bridge.config.state_folder import searched_folders, state_folder
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Event, Level, State
 from rsb_extras.history import history_files
-from rsb_extras.history.bridge_files import Claim, Files, kept_bridges, searched_folders
+from rsb_extras.history.bridge_files import Claim, Files, kept_bridges
 from rsb_extras.history.history_codes import HistoryCode
 from rsb_extras.history.history_files import Disk, EventFile, HistoryFileError
 from rsb_extras.history.tests import history_places

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import stat
+from argparse import Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,20 +13,24 @@ import pytest
 from msgspec.structs import replace
 from tests.console.driving import NARROW, WIDE, on_main, shown
 from tests.console.scripted import ScriptedEngine, answers, refused
+from tests.support.other_user import OTHER, only_root
 from tests.support.wording import says
 
+from rsb_bridge.api import EngineError
 from rsb_bridge.config.validation import validate
 from rsb_bridge.model.session import Session
 from rsb_extras.pictures.tests.test_view_screen import comes, looking, viewed
 from rsb_extras.recording import RecordingFeature, RecordLimits, record_limits
-from rsb_extras.recording.keep_last import KeepLast
+from rsb_extras.recording.keep_last import LARGEST, KeepLast
 from rsb_extras.recording.keeping import KeepProblem
 from rsb_extras.recording.mcap_file import McapText
-from rsb_extras.recording.record_command import RecordedText
+from rsb_extras.recording.record_command import RecordedText, record
 from rsb_extras.recording.record_rules import RecordText
 from rsb_extras.recording.tests.scripted_answers import KEPT
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from tests.support.control import Machine
     from textual.pilot import Pilot
 
@@ -58,7 +64,7 @@ def test_command_says_where_it_is(ran: Any, machine: Machine, answer: Any) -> No
     answer(replace(KEPT, host="elsewhere", undescribed=("/odd",), too_large=3))
     done = ran("record")
     assert asked[-1] == KeepLast(None)
-    assert says(done.out, RecordedText.WRITTEN_THERE, host="elsewhere")
+    assert says(done.out, RecordedText.WRITTEN)  # the kernel knows better than the bridge
     assert says(done.out, RecordedText.UNDESCRIBED, topics="/odd")
     assert says(done.out, RecordedText.TOO_LARGE, count=3)
 
@@ -70,23 +76,113 @@ def test_json_has_all_of_it(ran: Any, machine: Machine, answer: Any) -> None:
     assert (found["ok"], found["path"], found["messages"], found["size"]) == (True, KEPT.path, 9_876, 8_400_000)
 
 
-def test_output_moves_the_file(ran: Any, machine: Machine, answer: Any, tmp_path: Path) -> None:
+@pytest.fixture
+def recording(folder: Path) -> Path:
+    """A file in the bridge's folder."""
+    folder.mkdir(parents=True)
+    path = folder / "kept.mcap"
+    path.write_bytes(b"recording")
+    return path
+
+
+def test_output_moves_file_and_root_copies_it(
+    ran: Any, machine: Machine, answer: Any, tmp_path: Path, recording: Path
+) -> None:
     machine.have(ScriptedEngine())
-    source, target = tmp_path / "kept.mcap", tmp_path / "mine.mcap"
-    source.write_bytes(b"recording")
-    answer(replace(KEPT, path=str(source)))
+    target = tmp_path / "mine.mcap"
+    answer(replace(KEPT, path=str(recording), host="any"))
     done = ran("record", "--output", str(target))
-    assert (done.code, target.read_bytes(), source.exists()) == (0, b"recording", False)
+    assert (done.code, target.read_bytes(), recording.exists()) == (0, b"recording", os.geteuid() == 0)
     assert says(done.out, RecordedText.WRITTEN, path=target)
     assert stat.S_IMODE(target.stat().st_mode) == 0o600
-    source.write_bytes(b"another")
+    recording.write_bytes(b"another")
     done = ran("record", "--output", str(target))
-    assert (done.code, target.read_bytes(), source.read_bytes()) == (1, b"recording", b"another")
-    assert says(done.err, RecordedText.NOT_MOVED, target=target, path=source)
-    answer(replace(KEPT, host="elsewhere"))
-    done = ran("record", "--output", str(tmp_path / "other.mcap"))
+    assert (done.code, target.read_bytes(), recording.read_bytes()) == (1, b"recording", b"another")
+    assert says(done.err, RecordedText.NOT_MOVED, target=target, path=recording)
+
+
+def _in_another_folder(recording: Path) -> Path:
+    return recording.rename(recording.parents[1] / "kept.mcap")
+
+
+def _by_a_way_back(recording: Path) -> Path:
+    return recording.parent / ".." / _in_another_folder(recording).name
+
+
+def _symbolic_link(recording: Path) -> Path:
+    link = recording.with_name("link.mcap")
+    link.symlink_to(_in_another_folder(recording))
+    return link
+
+
+def _hard_link(recording: Path) -> Path:
+    recording.with_name("link.mcap").hardlink_to(recording)
+    return recording
+
+
+def _fifo(recording: Path) -> Path:
+    recording.unlink()
+    os.mkfifo(recording)
+    return recording
+
+
+def _folder_that_is_a_link(recording: Path) -> Path:
+    recording.parent.rename(other := recording.parents[1] / "other")
+    recording.parent.symlink_to(other)
+    return recording
+
+
+def _of_another_user(recording: Path) -> Path:
+    os.chown(recording, OTHER, OTHER)
+    return recording
+
+
+def _too_large(recording: Path) -> Path:
+    os.truncate(recording, LARGEST + 1)
+    return recording
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        _in_another_folder,
+        _by_a_way_back,
+        _symbolic_link,
+        _hard_link,
+        _fifo,
+        _folder_that_is_a_link,
+        pytest.param(_of_another_user, marks=only_root),
+        _too_large,
+        lambda path: path.parent,
+        lambda path: path.parent / "..",
+        lambda _: Path(),
+    ],
+)
+def test_output_moves_nothing_but_recordings(
+    name: Callable[[Path], Path], ran: Any, machine: Machine, answer: Any, tmp_path: Path, recording: Path
+) -> None:
+    machine.have(ScriptedEngine())
+    named = name(recording)
+    answer(replace(KEPT, path=str(named)))
+    before = sorted(tmp_path.rglob("*"))
+    done = ran("record", "--output", str(tmp_path / "mine.mcap"))
     assert done.code == 1
-    assert says(done.err, RecordedText.ELSEWHERE, path=KEPT.path, host="elsewhere")
+    assert says(done.err, RecordedText.NOT_MOVED)
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_output_takes_no_file_from_elsewhere(
+    ran: Any, answer: Any, tmp_path: Path, recording: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A robot in a fleet gives this machine's name, and a path here."""
+    engine = ScriptedEngine()
+    answer(replace(KEPT, path=str(recording)))
+    monkeypatch.setattr(engine, "uid", None, raising=False)
+    arguments = Namespace(seconds=None, output=str(tmp_path / "mine.mcap"), json=False, attach=lambda **_: engine)
+    with pytest.raises(EngineError) as raised:
+        record(arguments)
+    assert says(str(raised.value), RecordedText.ELSEWHERE, path=recording, host=KEPT.host)
+    assert recording.exists()
 
 
 @pytest.mark.parametrize("seconds", ["0", "-1", "nan"])
