@@ -11,6 +11,7 @@ import msgspec
 import pytest
 from tests.console.scripted import CALL_ROUTES, EVENTS, LINK, ROUTES, SESSION
 from tests.support import constants
+from tests.support.lying import ESCAPES, nasty
 from tests.support.operators import BOB, Reachable, Stranger
 from tests.support.waiting import eventually
 from tests.support.wording import pattern
@@ -32,51 +33,7 @@ from rsb_bridge.model.text import is_clean
 from rsb_bridge.telemetry.event_log import KEPT
 from rsb_bridge.wire.framing import pack_frame
 
-ESCAPES = "\x1b]0;owned\x07\x1b[2J\u202egpj\x9b1m\r\u2066\u200b[red]"
 BRIDGE = BridgeInfo("robot1", "client", "10.0.0.20:49152", 1, 0.0, "i", "0.1")
-
-
-def nasty(kind: msgspec.inspect.Type, text: str, figure: float) -> Any:
-    """Something of a type in which every text and every figure is as given: what a decoder lets through."""
-    inspect = msgspec.inspect
-    match kind:
-        case inspect.StructType(fields=fields, tag=tag, array_like=True):
-            values = [nasty(field.type, text, figure) for field in fields]
-            return values if tag is None else [tag, *values]
-        case inspect.StructType(fields=fields, tag=tag, tag_field=tag_field):
-            tagged = {} if tag is None else {tag_field: tag}
-            return tagged | {field.encode_name: nasty(field.type, text, figure) for field in fields}
-        case inspect.DataclassType(fields=fields):
-            return {field.encode_name: nasty(field.type, text, figure) for field in fields}
-        case inspect.VarTupleType(item_type=item) | inspect.ListType(item_type=item):
-            return [] if isinstance(item, inspect.RawType) else [nasty(item, text, figure)]
-        case inspect.TupleType(item_types=items):
-            return [nasty(item, text, figure) for item in items]
-        case inspect.DictType(key_type=key, value_type=value):
-            return {nasty(key, text, figure): nasty(value, text, figure)}
-        case inspect.UnionType(types=types):
-            return nasty(
-                max(types, key=lambda each: isinstance(each, inspect.StrType | inspect.StructType)), text, figure
-            )
-        case inspect.EnumType(cls=cls):
-            return next(iter(cls)).value
-        case inspect.LiteralType(values=values):
-            return values[0]
-        case inspect.StrType(pattern=pattern):
-            return text if pattern is None else ""  # the decoder refuses the text
-        case inspect.FloatType():
-            return figure
-        case inspect.IntType(ge=least):
-            return -(10**9) if least is None else least
-        case inspect.BytesType():
-            return b""
-        case inspect.BoolType():
-            return True
-        case inspect.NoneType():
-            return None
-        case inspect.AnyType():  # of a feature
-            return {text: [text, figure, -(10**9), {text: text}]}
-    raise AssertionError(f"a type that no message has had before: {kind}")
 
 
 def all_in(value: Any) -> Any:

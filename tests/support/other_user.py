@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import stat
 import tempfile
 from contextlib import contextmanager
 from pathlib import Path
@@ -51,3 +52,13 @@ def process_of_other(work: Callable[[], None]) -> Iterator[int]:
     finally:
         os.kill(pid, signal.SIGKILL)
         os.waitpid(pid, 0)
+
+
+def files_in(folder: Path) -> dict[str, tuple[int, int, int, bytes]]:
+    """Return owner, group, mode and content of a folder and all that is in it."""
+    found = {}
+    for path in (folder, *folder.rglob("*")):
+        status = path.lstat()
+        content = path.read_bytes() if stat.S_ISREG(status.st_mode) else b""
+        found[str(path)] = status.st_uid, status.st_gid, status.st_mode, content
+    return found

@@ -227,7 +227,7 @@ def _ran(report: HistoryReport) -> str:
     gaps = ", ".join(f"{moment(start, report.time)} to {moment(end, report.time)}" for start, end in ends)
     earlier = len(report.gaps) - 3
     more = f" and {earlier} {plural(earlier, 'earlier time')}" if earlier > 0 else ""
-    share = percent(report.watched / report.span)
+    share = percent(report.watched / report.span if report.span > 0 else 0.0)  # another machine's bridge may say 0 s
     return ReportText.RAN_PARTLY(watched=length(report.watched), share=share, gaps=gaps, more=more, stopped=stopped)
 
 
