@@ -47,6 +47,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: PTH123, SIM115 -- as long as the process
     sys.stderr = CleanErrors(sys.stderr)
     signal.signal(signal.SIGTERM, _terminated)  # until the command handles it, which a bridge does once it is loaded
+    if argv is None:
+        _leave_working_folder()
     try:
         return _run(sys.argv[1:] if argv is None else list(argv))
     except KeyboardInterrupt:
@@ -54,6 +56,27 @@ def main(argv: Sequence[str] | None = None) -> int:
     finally:
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # one more would only end the interpreter's end in a traceback
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+
+def _leave_working_folder() -> None:
+    """Take the working folder off the path of modules, where an empty entry of PYTHONPATH or ``python -m`` puts it.
+
+    In a folder that others write to, each command would run entry points of theirs as features.
+    """
+    try:
+        here = os.path.realpath(os.getcwd())  # noqa: PTH109 -- without pathlib, which takes a while
+    except OSError:  # it is removed
+        here = ""
+
+    def is_elsewhere(entry: str) -> bool:
+        return bool(entry) and os.path.realpath(entry) != here
+
+    # Behind Python's own modules there is what is installed, perhaps a checkout that is the working folder.
+    library = os.path.dirname(os.__file__)  # noqa: PTH120
+    before = sys.path.index(library) if library in sys.path else 0
+    sys.path[:before] = filter(is_elsewhere, sys.path[:before])
+    if variable := os.environ.get("PYTHONPATH"):  # of the processes that this one starts
+        os.environ["PYTHONPATH"] = os.pathsep.join(filter(is_elsewhere, variable.split(os.pathsep)))
 
 
 def _terminated(*_: object) -> None:

@@ -19,7 +19,7 @@ from platformdirs import user_config_path
 from textual.color import Color, ColorParseError
 from textual.theme import Theme
 
-from rsb_bridge.config.files import is_there, make_folder, replace_file, why_not_written
+from rsb_bridge.config.files import change_by_others, is_there, make_folder, replace_file, why_not_written
 from rsb_bridge.feature import BRINGS_ACTIONS, BRINGS_SETTINGS, installed
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.wording import Wording
@@ -292,6 +292,10 @@ class Preferences:
             self.keymap = {}
             self.problems.append(("The default keys are used", str(error)))
         self.actions = self._all_actions()
+
+    def change_by_others(self) -> str:
+        """Return the reason why another user can change ``console.yaml``, or an empty string."""
+        return change_by_others(self._path) if is_there(self._path) else ""
 
     def _all_actions(self) -> tuple[Action, ...]:
         actions = [*ACTIONS]

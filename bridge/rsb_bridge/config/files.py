@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, TextIO
 
-from rsb_bridge.config.folder_owner import acting_in_folder
+from rsb_bridge.config.folder_owner import acting_in_folder, folder_owner
 from rsb_bridge.model.text import several_lines
 from rsb_bridge.model.wording import Wording
 
@@ -35,6 +35,14 @@ class Shortage(Wording):
 class FileRefused(Wording):
     NOT_A_FILE = "is {kind}, not a file"
     OF_ANOTHER = "is another user's file, who could read what root writes: remove it, or name another file"
+
+
+class FileRisk(Wording):
+    """Reasons why another user can change a file, and the remedies."""
+
+    OTHER_OWNER = "{path} belongs to another user (uid {uid}), or is in a folder of that user's"
+    WRITABLE = "others may write to {path}: run `chmod o-w {path}`"
+    REPLACEABLE = "others can replace {path}: run `chmod o-w {folder}`"
 
 
 def typed_path(text: str) -> Path:
@@ -64,6 +72,25 @@ def is_there(path: Path) -> bool:
         return stat_of(path) is not None
     except OSError:
         return False
+
+
+def change_by_others(path: Path) -> str:
+    """Return the reason why a user other than this one and root can change a file, or an empty string.
+
+    Raises:
+        OSError: the file cannot be looked at.
+    """
+    status, folder = path.stat(), Path(os.path.realpath(path)).parent
+    of_folder = folder.stat()
+    owners = {status.st_uid, of_folder.st_uid, folder_owner(path) or 0} - {0, os.geteuid()}
+    if owners:
+        return FileRisk.OTHER_OWNER(path=path, uid=min(owners))
+    if status.st_mode & stat.S_IWOTH:
+        return FileRisk.WRITABLE(path=path)
+    # With the sticky bit, as of /tmp, nobody can replace another user's file.
+    if of_folder.st_mode & stat.S_IWOTH and not of_folder.st_mode & stat.S_ISVTX:
+        return FileRisk.REPLACEABLE(path=path, folder=folder)
+    return ""
 
 
 def kind_of_file(mode: int) -> str:

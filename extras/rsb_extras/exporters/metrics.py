@@ -13,8 +13,10 @@ import socket
 import threading
 from collections import Counter
 from importlib.metadata import version
+from ipaddress import ip_address
 from socketserver import TCPServer, ThreadingMixIn
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from urllib.parse import urlsplit
 from wsgiref.simple_server import WSGIRequestHandler, WSGIServer
 
 from prometheus_client import CollectorRegistry, ProcessCollector, make_wsgi_app
@@ -195,6 +197,8 @@ class MetricsServer(ThreadingMixIn, WSGIServer):
         failed: Callable[[Exception], None],
     ) -> None:
         # The default is IPv4, and the address may be IPv6.
+        own = socket.gethostname().lower()
+        self._names = {host.lower(), own, f"{own}.local", "localhost"}
         found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
         self.address_family, _, _, _, address = found[0]
         self._steady = steady
@@ -202,6 +206,9 @@ class MetricsServer(ThreadingMixIn, WSGIServer):
         super().__init__(address, _Handler)  # type: ignore[arg-type]  # an IPv6 address has four parts
 
         def answer(environ: WSGIEnvironment, start_response: StartResponse) -> Iterable[bytes]:
+            if not self._is_meant(environ.get("HTTP_HOST", "")):
+                start_response("421 Misdirected Request", [("Content-Type", "text/plain")])
+                return [b"ask by an address, or by the name that metrics gives in the session\n"]
             try:
                 return app(environ, start_response)
             except Exception as error:  # noqa: BLE001 (the last resort: the server goes on, and the log has the error)
@@ -210,6 +217,20 @@ class MetricsServer(ThreadingMixIn, WSGIServer):
                 return [b"internal error: see the bridge's log\n"]
 
         self.set_app(answer)
+
+    def _is_meant(self, given: str) -> bool:
+        """Whether a request's Host names this server.
+
+        A web page can have its own name lead here, and its visitor's browser ask: then Host is the page's name. Nobody
+        can give an address as a name.
+        """
+        try:
+            host = urlsplit(f"//{given}").hostname or ""
+            if host and host not in self._names:
+                ip_address(host)
+        except ValueError:
+            return False
+        return True
 
     def server_bind(self) -> None:
         """Bind without a reverse DNS lookup, which may block."""

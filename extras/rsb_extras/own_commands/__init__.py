@@ -24,9 +24,14 @@ class OwnCommands(Feature):
         return (COMMANDS,)
 
     def own_actions(self, preferences: Preferences) -> Iterable[Action]:
-        from rsb_extras.own_commands.own_command import COMMANDS, action_of  # noqa: PLC0415
+        from rsb_extras.own_commands.own_command import COMMANDS, CommandMistake, action_of  # noqa: PLC0415
 
-        return map(action_of, COMMANDS.of(preferences))
+        commands = COMMANDS.of(preferences)
+        if commands and (reason := preferences.change_by_others()):
+            # They would run with this user's rights: with root's, in a console that has kept another user's home.
+            preferences.problems.append((CommandMistake.LEFT_OUT(), CommandMistake.OF_OTHERS(reason=reason)))
+            return ()
+        return map(action_of, commands)
 
 
 FEATURE = OwnCommands()

@@ -44,6 +44,8 @@ _PLACE = "rsb_extras.own_commands.command_keys"
 class CommandMistake(Wording):
     """Mistakes in the setting ``commands``."""
 
+    LEFT_OUT = "Commands left out"
+    OF_OTHERS = "no command of console.yaml runs as this user: {reason}"
     NO_MAPPING = 'commands: map keys to commands, like X: {{run: "uptime"}}'
     TOO_MANY = "commands: at most {most} are possible"
     NO_KEY = "commands.{key}: {key} is no key; give one like X, f9 or ctrl+g"

@@ -6,6 +6,7 @@ import contextlib
 import socket
 import sys
 import threading
+import time
 from concurrent.futures import ThreadPoolExecutor
 from http.client import HTTPConnection
 from typing import TYPE_CHECKING
@@ -197,9 +198,10 @@ class Served:
             while not self._ends.is_set():
                 self.server.turn()
 
-    def get(self) -> bytes:
+    def get(self, host: str | None = None) -> bytes:
         with socket.create_connection(("127.0.0.1", self.port), timeout=30) as connection:
-            connection.sendall(b"GET / HTTP/1.0\r\n\r\n")
+            given = "" if host is None else f"Host: {host}\r\n"
+            connection.sendall(f"GET / HTTP/1.0\r\n{given}\r\n".encode())
             return b"".join(iter(lambda: connection.recv(4096), b""))
 
     def close(self) -> None:
@@ -255,3 +257,32 @@ def test_a_reader_that_goes_is_no_error(served: Served, capfd: pytest.CaptureFix
     eventually(lambda: served.get().startswith(b"HTTP/1.0 200"))
     assert served.failures == []
     assert own_lines("".join(capfd.readouterr())) == []
+
+
+@pytest.mark.parametrize(
+    ("host", "status"),
+    [
+        (None, b"200"),
+        ("127.0.0.1:9464", b"200"),
+        ("[::1]:9464", b"200"),
+        ("localhost", b"200"),
+        ("LOCALHOST:9464", b"200"),
+        ("10.0.0.20:9464", b"200"),
+        (socket.gethostname(), b"200"),
+        (f"{socket.gethostname()}.local:9464", b"200"),
+        ("elsewhere.example:9464", b"421"),
+        ("127.0.0.1.elsewhere.example", b"421"),
+        ("[::1", b"421"),
+    ],
+)
+def test_name_of_another_page_is_refused(served: Served, host: str | None, status: bytes) -> None:
+    assert served.get(host).split()[1] == status
+
+
+def test_name_in_session_is_answered(monkeypatch: pytest.MonkeyPatch) -> None:
+    resolve = socket.getaddrinfo
+    monkeypatch.setattr(socket, "getaddrinfo", lambda _, *rest, **named: resolve("127.0.0.1", *rest, **named))
+    server = MetricsServer("robot1.example", 0, lambda *_: [], time.monotonic, list[Exception]().append)
+    with server:
+        assert server._is_meant("Robot1.example:9464")
+        assert not server._is_meant("robot2.example:9464")

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.support.other_user import OTHER, only_root
 from tests.support.wording import says
 
+from rsb_console.actions.action import Group
 from rsb_console.preferences import PreferenceProblem, Preferences
 from rsb_extras.own_commands.own_command import (
     COMMANDS,
@@ -18,6 +21,7 @@ from rsb_extras.own_commands.own_command import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
     from rsb_bridge.model.wording import Wording
@@ -113,3 +117,32 @@ def test_taken_key_names_both_and_keeps_others(tmp_path: Path, keys: str, key: s
     assert says(reported, shared, path=tmp_path / "console.yaml", key=key, one=owner, other=f"command_{key}")
     assert [action.id for action in found.actions if action.id.startswith("command_")] == ["command_Z"]
     assert found.bell
+
+
+def _of_another_user(path: Path) -> None:
+    os.chown(path, OTHER, OTHER)
+
+
+def _in_another_folder(path: Path) -> None:
+    os.chown(path.parent, OTHER, OTHER)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        pytest.param(_of_another_user, marks=only_root),
+        pytest.param(_in_another_folder, marks=only_root),
+        lambda path: path.chmod(0o666),
+        lambda path: path.parent.chmod(0o777),
+        None,
+    ],
+    ids=["owner", "folder's owner", "mode", "folder's mode", "nobody"],
+)
+def test_file_that_others_can_change_has_no_commands(tmp_path: Path, change: Callable[[Path], None] | None) -> None:
+    path = tmp_path / "console.yaml"
+    path.write_text("commands:\n  f9: {run: uptime}\n")
+    if change is not None:
+        change(path)
+    preferences = Preferences(tmp_path, None)
+    assert [each.id for each in preferences.actions if each.group is Group.OWN] == ["command_f9"] * (change is None)
+    assert [says(text, CommandMistake.OF_OTHERS) for _, text in preferences.problems] == [True] * (change is not None)
