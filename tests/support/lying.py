@@ -196,6 +196,8 @@ class LyingBridge:
                 routes.append(replace(routes[0], **names))
             links.append(replace(links[0], name=LINK.name, state=LINK.state))
         session = msgspec.structs.replace(made(Session, lie), features={})
-        said = msgspec.structs.replace(made(StateChange, lie), more=False, session=session, links=tuple(links))
+        said: StateChange = msgspec.structs.replace(
+            made(StateChange, lie), more=False, session=session, links=tuple(links)
+        )
         keys = tuple(each.key for each in routes)
         return msgspec.structs.replace(said, routes=tuple(map(protocol.encode_route, routes)), keys=keys)

@@ -20,7 +20,7 @@ class ConfinementText(Wording):
     """Findings about the process that draws, and remedies."""
 
     CONFINED = "the process that draws reads only the program's files, and reaches nothing else"
-    DRAWS_WITH_FILES = "the process that draws can read its user's files: this kernel has no Landlock"
+    DRAWS_WITH_FILES = "the process that draws can read its user's files and processes: this kernel has no Landlock"
     DRAWS_WITH_NETWORK = "the process that draws has a network, so it could drive robots: no seccomp filter here"
     LANDLOCK_REMEDY = "Linux 5.13 or newer with Landlock (boot parameter lsm=landlock,...)"
     FILTER_REMEDY = "a kernel with seccomp (CONFIG_SECCOMP_FILTER), on x86-64 or aarch64"
