@@ -44,9 +44,13 @@ def bed(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
         yield folder
 
 
+# With thousands of characters in every field, all these screens take minutes: the commands meet such a bridge.
+KINDS = [each for each in lies("") if each != "very long"]
+
+
 @pytest.mark.parametrize(
     ("kind", "honest"),
-    [("escapes", True), *long_cases(*[case for case in product(lies(""), (True, False)) if case != ("escapes", True)])],
+    [("escapes", True), *long_cases(*[case for case in product(KINDS, (True, False)) if case != ("escapes", True)])],
 )
 def test_no_screen_fails_or_shows_control_characters(kind: str, bed: Path, *, honest: bool) -> None:
     path, own = bed / "services" / "robot1.sock", bed / "own"
