@@ -1,7 +1,10 @@
-"""The half of a route: what its `Route` asks of it, in the order that stands there, and what all halves write.
+"""The interface that a `Route` calls on its half, and `Carried`, the state that every half keeps.
 
 Halves are `sender.Sender` and `receiver.Receiver` of a topic, `calls.caller.Caller` and `calls.provider.Provider` of a
-service, an action or a node's parameters. A half reads its route; nothing else does what it does.
+service, an action or a node's parameters. Only the route calls the verbs, in the order that its own methods say, unless
+a verb names another caller. A half reads its route, logs by it, and asks it to `advance`, `judge_again`, `refuse` or
+`request_reopen`. It writes the route's notices, age (`publishers.since`), rate limit (`set_profile_rate`) and the
+other side's verdict (`judged.receive`), and nothing else of it.
 """
 
 from __future__ import annotations
@@ -138,7 +141,7 @@ class Half(Protocol):
     # --- events of its route
 
     def proceed(self) -> None:
-        """Do what can be done next."""
+        """Do what can be done next. Called by `Route.advance`, at any time and often: it may find nothing to do."""
 
     def open(self) -> None:
         """Begin a new opening."""
@@ -159,13 +162,17 @@ class Half(Protocol):
         """Stop what moves, before the other side and operators hear of it."""
 
     def lapse(self) -> None:
-        """Act on the fact that nothing passes for now: it is disarmed, or the sides do not hear each other."""
+        """Publish the stop message, if there is one, as nothing passes for now.
+
+        Called after `disarm`, by `LinkArming` when the sides do not hear each other, and by a `RestMessage` that no
+        message follows.
+        """
 
     def configure(self) -> None:
         """Take over new limits, or what a changed session says."""
 
-    def may_flow(self) -> None:
-        """Restart all measurements over time, because messages may cross from now on."""
+    def restart_measuring(self) -> None:
+        """Restart all measurements over time: messages may cross from now on, or no longer."""
 
     # --- messages and reports
 
@@ -184,17 +191,21 @@ class Half(Protocol):
     # --- time
 
     def measure(self, now: float, crossing: Crossing, *, learns: bool) -> None:
-        """Update what the verdict follows from. Called first in a tick."""
+        """Update what the verdict follows from. Called first in a tick; must neither advance nor end the opening.
+
+        Args:
+            learns: as `Facts.learns`.
+        """
 
     def act(self, now: float, crossing: Crossing) -> None:
-        """Do what follows from the new verdict. Called last in a tick."""
+        """Do what follows from the new verdict. Called last in a tick; may advance, or have the route opened again."""
 
     @property
     def passed(self) -> int:
-        """Messages or calls so far, each of which wakes the route."""
+        """A counter that grows with each message or call; only that it has changed counts."""
 
     def signs(self) -> Signs:
-        """Return what changes if anything happens to it, apart from messages and the passing of time."""
+        """Return values that differ from those of the last tick if anything but a message or time has happened."""
 
     def next_change(self, now: float, crossing: Crossing) -> float:
         """Return when (s) something changes by itself next, `now` if it may at any moment, or infinity."""

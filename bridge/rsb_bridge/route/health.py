@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from rsb_bridge.telemetry.meters import RateMeter
 
 
-class WatchedTopic(Protocol):
-    """The sending half of a topic's route, as its health is judged by it."""
+class WatchedRoute(Protocol):
+    """A topic's route, as its health is judged by it."""
 
     spec: Topic
     meter: RateMeter
@@ -42,7 +42,7 @@ class Health:
 
     def judge(
         self,
-        half: WatchedTopic,
+        route: WatchedRoute,
         ledger: Ledger,
         now: float,
         publishers: Iterable[Endpoint],
@@ -52,7 +52,7 @@ class Health:
         flows: bool,
         awaited: bool,
     ) -> None:
-        """Judge a half at `now` (s). Called once a second.
+        """Judge a topic at `now` (s). Called once a second.
 
         Args:
             publishers: of the topic here.
@@ -63,8 +63,8 @@ class Health:
         """
         self._lost_in_dds.append(ledger.lost_in_dds)
         self.losses.judge(ledger.delivered, ledger.dropped, now)
-        promised, limit = bool(half.spec.expected_rate), half.limit.rate
-        expected = half.spec.expected_rate or usual_rate
+        promised, limit = bool(route.spec.expected_rate), route.limit.rate
+        expected = route.spec.expected_rate or usual_rate
         if expected and limit:
             expected = min(expected, limit)
         self.expected_rate = expected
@@ -77,7 +77,7 @@ class Health:
         if self.stop.since is not None or not flows:
             self.slow.reset()
         elif not self.stop.quiet:  # a pause is not slow
-            self.slow.judge(half.meter.rate, expected, now)
+            self.slow.judge(route.meter.rate, expected, now)
 
     def next_change(self, now: float) -> float:
         """Return when (s) one of these may change without a message, `now` if at any moment, or infinity."""

@@ -81,7 +81,7 @@ class Receiver:
         self.check = MessageCheck(route.context, route.peer.budget.checks)
         self.path = IncomingPath(self.flow, self.rest, self.check)
         self.outputs = self.path.outputs
-        self.deliver, self.may_flow = self.path.deliver, self.flow.may_flow
+        self.deliver, self.restart_measuring = self.path.deliver, self.flow.restart_measuring
         self._before: tuple[str, ReceivedReport] | None = None
         self.listeners = Listeners(self.flow, self.outputs)
         self._received_before = 0
@@ -168,7 +168,7 @@ class Receiver:
         self._assert_liveliness(_ANNOUNCED_WITHIN if began else 0.0)
 
     def _assert_liveliness(self, after: float = 0.0) -> None:
-        """Have subscriptions here see the publishers of the sending side alive as long as they are, `after` s."""
+        """Have subscriptions here see the sending side's publishers alive as long as they are, from in `after` s on."""
         if self._asserts_again is not None:
             self._asserts_again.cancel()
             self._asserts_again = None
@@ -214,16 +214,16 @@ class Receiver:
         self.route.peer.send(Refuse(route=route_id, code="type_differs", reason=sanitize_text(reason)))
 
     def disarm(self) -> None:
-        """Close the publishers, and with them the messages that they hold for slow subscribers; then publish the rest.
+        """Close the publishers, and with them the messages that they hold for slow subscribers.
 
-        Every end of an arming passes here. Nothing that moves can follow the rest: `deliver` publishes nothing from now
-        on, and a rest's own publisher is not theirs.
+        Every end of an arming passes here, and `lapse`, which publishes the stop message, follows. Nothing that moves
+        can come after that: `deliver` publishes nothing from now on, and the stop message has a publisher of its own.
         """
         self.path.unpacker.withdraw(wait=True)
         self.outputs.close()
 
     def lapse(self) -> None:
-        """Publish the rest, as nothing passes any more, at least for now."""
+        """Publish the stop message."""
         if self.rest.message is not None:
             self.path.unpacker.withdraw(wait=True)
             self.rest.message.begin()

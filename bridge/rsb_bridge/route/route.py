@@ -110,7 +110,7 @@ class Route:
         closed_ids: ids of its last openings on the present connection, the oldest first.
         weight: of its share of the link.
         idle: whether it needs no tick now, as nothing has happened: then it is neither reported nor shown again.
-        rested: told, once the route is awake again, until when (s) nothing came.
+        rested: callbacks; when the route wakes, each gets the time (s) until which nothing came.
         half: carries its messages or calls on this side.
     """
 
@@ -148,7 +148,7 @@ class Route:
         self.notices = Notices(self.log, context.wall)
         self.limit = RateLimit(proposal.max_rate, self.log)
         self.pausing = PauseState(peer.revisions, paused=proposal.paused, is_client=peer.is_client)
-        self.pausing.changed = self._paused
+        self.pausing.changed = self._pause_changed
         self.arming = Arming()
         self.settling = Settling(context.loop, self.judge_again)
         self.age = MessageAge(context, peer)
@@ -163,7 +163,7 @@ class Route:
         self.meter = RateMeter(context.now())
         self.rested = [self.meter.rested]
         self.release_port: Callable[[], None] | None = None
-        # Whether messages can cross changes with nothing else than `advance` and `close`.
+        # Told by `advance` and `close` alone: nothing else lets messages begin to cross.
         self.waiters = Waiters(context.loop)
         self.half = kind(self)  # last: it uses the rest
         # As they are, so that no message takes a call more.
@@ -189,6 +189,8 @@ class Route:
     def advance(self) -> None:
         """Do what can be done next: ROS, the peer, the sockets or an operator may have changed something."""
         self.half.proceed()
+        if self.duplex:
+            self._verdict = None  # of calls, by what `proceed` has just looked at; nothing has happened that wakes it
         if self.idling.missed(self._signs, self.context.now()):
             self.wake()
         self.waiters.tell()
@@ -219,7 +221,7 @@ class Route:
         # The other side's verdict belongs to the opening before.
         self.judged.receive(None, self.context.now())
         self.half.open()
-        self.half.may_flow()
+        self.half.restart_measuring()
 
     def close(self, reason: str) -> None:
         """End the present opening; state that outlives openings stays."""
@@ -316,10 +318,10 @@ class Route:
             self.notices.error(code, reason, level)
             self._end(Reason(reason), tell=True)
 
-    def _paused(self, was: bool) -> None:
-        """Go on after an operator has paused or resumed it; it stays set up."""
+    def _pause_changed(self, was: bool) -> None:
+        """Act on a pause, its end, or a further revision of either (`PauseState`); the channel stays open."""
         paused = self.pausing.paused
-        if was and not paused and self.id:
+        if was and not paused and self.id:  # until the provider has heard of it, it refuses calls
             self.pausing.unpaused = self.pausing.revision
         if paused != was:
             here, there = self.here, self.there
@@ -329,7 +331,7 @@ class Route:
             elif there is not None:
                 there = there._replace(topic=topic)
             self.enter(here, there)
-            self.half.may_flow()
+            self.half.restart_measuring()
             code = EventCode.ROUTE_PAUSED if paused else EventCode.ROUTE_RESUMED
             self.log(Level.INFO, code, "paused" if paused else "resumed")
         self.judge_again()
@@ -338,7 +340,7 @@ class Route:
     def armed(self) -> None:
         """Let messages cross, as both sides now agree that it is armed."""
         self.judge_again()
-        self.half.may_flow()
+        self.half.restart_measuring()
         self.advance()
 
     def disarm(self, why: Disarmed, reason: str = "") -> None:
@@ -376,7 +378,11 @@ class Route:
     # --- time
 
     def wake(self) -> None:
-        """Have it ticked within a second, and for a while: something has happened to it."""
+        """Have it ticked within a second, and for a while: something has happened to it.
+
+        `judge_again` does so, too, if the verdict may be another one. Where messages pass, ask `idle` before: that they
+        came is seen by `Half.passed` as long as it is awake.
+        """
         self.idling.wake(self.context.now())
         if self.idle:
             self.rise()
@@ -386,7 +392,7 @@ class Route:
         return now < self.idling.until and self.half.passed == self.idling.passed
 
     def rise(self) -> None:
-        """Be ticked again: something has happened, or its time has come."""
+        """Be ticked again. For `wake`, and for the timetable, once its time has come."""
         self.idle = False
         for rested in self.rested:
             rested(self.peer.timetable.looked)
@@ -448,7 +454,10 @@ class Route:
     # --- how it is
 
     def away_text(self) -> str:
-        """Return why it carries nothing while it has no link, for an operator, perhaps with `LASTING`."""
+        """Return why it carries nothing while it has no link, for an operator.
+
+        It may have `LASTING`, for which the verdict puts how long its `since` is ago.
+        """
         if self.peer.suspended_since is not None and self.life.accepted:
             return self.half.facts.waiting_text()
         return self.peer.down_reason or "the link is down"

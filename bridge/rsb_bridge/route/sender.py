@@ -74,7 +74,7 @@ class Sender:
         self._described: Describe | None = None
         self.loop_filter = LoopFilter(route)
         self.backlog = Backlog()
-        self.may_flow = self.flow.may_flow
+        self.restart_measuring = self.flow.restart_measuring
         self.path = OutgoingPath(self.flow, self._end, self.counts, self.loop_filter, self.backlog)
         route.rested.append(self.path.traffic.rested)
         self.subscription = TopicSubscription(route, self.path, self.loop_filter, self._look_who_is_present)
@@ -251,7 +251,7 @@ class Sender:
             self.route.peer.send(told)
 
     def disarm(self) -> None:
-        """Drop the waiting messages, here and at the peer."""
+        """Drop the waiting messages, and count those on their way as disarmed: the peer drops them."""
         self._leave_out()
         self.counts.lose("disarmed", self.loop_filter.forget())
         self.counts.drop("disarmed", self.path.clear())

@@ -79,7 +79,7 @@ class SenderFacts(TopicFacts):
 
     @property
     def ledger(self) -> Ledger:
-        """The ledger, by the peer's last report."""
+        """The ledger as it is now, by the peer's last report; it is counted anew each time."""
         ledger, context = self._counts.ledger(self._subscription.numbers.counts), self.route.context
         if ledger.waiting and (waited := self._path.waits(context.now())):
             return replace(ledger, waiting_since=context.wall_of(context.clock.steady() - waited))

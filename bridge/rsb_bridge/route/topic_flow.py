@@ -199,7 +199,7 @@ class TopicFlow:
         self.silence.configure(self.route.spec, self.route.context.session)
         self.route.wake()
 
-    def may_flow(self) -> None:
+    def restart_measuring(self) -> None:
         self.flows_since = self.route.context.now()
         self.silence.rearm(self.flows_since)
         self.lateness.reset()

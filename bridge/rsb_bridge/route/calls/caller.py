@@ -68,7 +68,6 @@ class Caller(CallsHalf):
         if self.carried.channel is None:
             self.route.peer.open_channel(self.route)
         self.offer.proceed()
-        self.route._verdict = None
 
     def close(self, reason: str) -> None:
         """End the opening; pending calls are lost."""

@@ -77,8 +77,8 @@ class CallsHalf:
         """Take over whether messages are checked."""
         self.types.set_check()
 
-    def may_flow(self) -> None:
-        """Begin a new period of failures."""
+    def restart_measuring(self) -> None:
+        """Forget earlier failures."""
         self.flow.failures.forget()
 
     def measure(self, now: float, crossing: Crossing, *, learns: bool) -> None:

@@ -199,7 +199,8 @@ class ProvidedCalls:
     def see(self, servers: set[bytes]) -> bool:
         """Note the ids of the servers that are there now. Return whether they are others than before."""
         changed = servers != self._present
-        self._present |= servers  # DDS may have given them calls before they were seen here
+        # In place, as calls under way share the set: DDS may have given these servers calls before they were seen.
+        self._present |= servers
         self._present = servers
         return changed
 

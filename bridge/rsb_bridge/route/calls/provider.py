@@ -61,7 +61,6 @@ class Provider(CallsHalf):
             self.route.peer.open_channel(self.route)
         self.servers.proceed()
         self.flush()
-        self.route._verdict = None
 
     def close(self, reason: str) -> None:
         """End the opening; pending calls are lost."""
