@@ -7,8 +7,9 @@ and find each other by address.
 
 A message counts if it was published from 1 s before the fault until all topics have been steady for 5 s, at least 8 s
 after the fault's end. ``a; b`` are the figures to the server's side and to the robot's. *Silence* is the longest
-time without a message of a reliable topic of 10 Hz, and *back* the time from the end of the cause to the end of that
-silence. *Latched*: messages that never came, and messages that came again to a node that had them. *Events* are
+time without a message of a reliable topic of 10 Hz, *back* the time from the end of the cause to the end of that
+silence, and *live again* the time from there until a message came that was younger than 0.2 s.
+*Latched*: messages that never came, and messages that came again to a node that had them. *Events* are
 publishers that came or went in the listeners' domains: of all topics of a rate, and of the latched topics, where each
 change brings one; and how often the service came or went in its caller's.
 *Calls*: answered of asked; of those under way when the fault began; carried out twice. The second table compares our
@@ -235,6 +236,7 @@ def _print(transport: str, outcomes: Sequence[Outcome]) -> None:
             ),
             "silence, s": lambda its: _sides(its, lambda topic: topic.silence),
             "back, s": lambda its: _sides(its, lambda topic: topic.back),
+            "live again, s": lambda its: _sides(its, lambda topic: topic.live),
             "events: topics, latched, service": lambda its: _several(
                 its, lambda run: (_sum(run.rated, "events"), _sum(run.of("latched"), "events"), run.calls.events)
             ),

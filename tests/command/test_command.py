@@ -219,7 +219,7 @@ def test_check_lists_rights_of_clients_and_moving_topics() -> None:
         "name: pc\nrole: server\nserver_ip: 0.0.0.0\nserver_port: 4000\nuse_encryption: false\nports: [12001]\n"
         "clients:\n"
         "  - {name: open}\n  - {name: named, use_name: true}\n"
-        "  - {name: still, deny: [/cmd_vel, /joint_*, /tf, /clock]}\n"
+        "  - {name: still, deny: [/cmd_vel, /joint_*, /joy, '*/commands', /tf, /clock]}\n"
         "  - {name: visitor, allow: [/camera/*, /tf], deny: [/camera/raw]}\n"
         "  - name: driver\n"
         "    allow: [{topics: /cmd_vel, may: publish, protocol: udp, max_rate: 10}, {topics: /odom, may: read}]\n"
@@ -236,10 +236,10 @@ def test_check_lists_rights_of_clients_and_moving_topics() -> None:
     assert ["deaf", "publish", "all,", "not", "/cmd_vel", *anything] in table
     assert ["deaf", "read", "all,", "not", "/*", *anything] in table
     assert [line.strip() for line in lines if says(line, SessionCheckText.MAY_MOVE)] == [
-        SessionCheckText.MAY_MOVE(peer="open", names="/cmd_vel, /joint_*, /tf, /clock"),
+        SessionCheckText.MAY_MOVE(peer="open", names="/cmd_vel, /joint_*, /joy, */commands, /tf, /clock"),
         SessionCheckText.MAY_MOVE(peer="visitor", names="/tf"),
         SessionCheckText.MAY_MOVE(peer="driver", names="/cmd_vel"),
-        SessionCheckText.MAY_MOVE(peer="deaf", names="/joint_*, /tf, /clock"),
+        SessionCheckText.MAY_MOVE(peer="deaf", names="/joint_*, /joy, */commands, /tf, /clock"),
     ]
     assert [line.strip() for line in lines if says(line, SessionCheckText.MAY_ACT)] == [
         SessionCheckText.MAY_ACT(peer=name, names="any service, action and parameter")

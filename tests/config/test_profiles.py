@@ -90,8 +90,8 @@ def test_queues() -> None:
 
     def limits(qos: Qos, profile: LinkProfile) -> QueueLimits:
         peer = SimpleNamespace(profile=profile, linked=True, budget=PeerBudget(0.0))
-        arming = SimpleNamespace(required=False)
-        route: Any = SimpleNamespace(transport=transport, proposal=proposal, peer=peer, arming=arming)
+        arming, age = SimpleNamespace(required=False), SimpleNamespace(only_newest=False)
+        route: Any = SimpleNamespace(transport=transport, proposal=proposal, peer=peer, arming=arming, age=age)
         flow: Any = SimpleNamespace(route=route, qos=qos, carried=Carried[SendingChannel]())
         return Outbox(flow, AgreedEnd(route), RouteLedger(), Backlog()).limits(channel, 0, 0.0)
 

@@ -84,7 +84,13 @@ def clocks_known(*engines: Engine) -> bool:
 
 
 @pytest.mark.parametrize(
-    ("side", "protocol"), [("sender", "udp"), ("receiver", "tcp"), *long_cases(("sender", "tcp"), ("receiver", "udp"))]
+    ("side", "protocol"),
+    [
+        ("sender", "udp"),
+        ("receiver", "tcp"),
+        ("neither", "tcp"),
+        *long_cases(("sender", "tcp"), ("receiver", "udp"), ("neither", "udp")),
+    ],
 )
 def test_network_that_held_everything_yields_nothing_old(
     protocol: Protocol,
@@ -95,12 +101,15 @@ def test_network_that_held_everything_yields_nothing_old(
     pc: Domain,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Either side may have the `max_age`: the robot that publishes, or the server of a topic that the robot lists."""
+    """Either side may have the `max_age`: the robot that publishes, or the server of a topic that the robot lists.
+
+    With neither, commands by their name are not published later, either.
+    """
     constants.DEAD_AFTER.set(monkeypatch, 60.0)  # the silence loses no link
     out, heard = Noting(robot.publisher("/cmd")), pc.listener("/cmd")
     topic = Topic("/cmd", "transmit", protocol=protocol, max_age=MAX_AGE if side == "sender" else None)
     theirs = msgspec.structs.replace(topic, max_age=MAX_AGE)
-    clients = None if side == "sender" else (Client("robot1", topics=(theirs,)),)
+    clients = (Client("robot1", topics=(theirs,)),) if side == "receiver" else None
     server = bridge.server(clients=clients)
     client = bridge.client(topic, server_ip="127.0.0.1", server_port=holding.port)
     eventually(lambda: linked(client) and linked(server) and clocks_known(client, server), what="linked")

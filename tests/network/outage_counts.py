@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 LEAD = 1.0
 """s before a fault at which its window begins: messages that are on their way then are lost with it."""
+LIVE = 0.2
+"""s; a message that is younger when it comes is live."""
 _HOPED_FOR = 2.5
 """Intervals of a topic without a message that are no silence yet: a busy machine makes as many."""
 _PARTS = ("delivered", "throttled", "expired", "waiting", "in_flight", "unknown")
@@ -33,6 +35,8 @@ class TopicCounts(NamedTuple):
         back: s from the end of the cause to the end of that silence; 0 if it ended before or is none; None if it had
             not ended when publishing ended.
         events: publishers that came or went in the listener's domain.
+        live: s from the end of that silence until a message came that was younger than `LIVE`; 0 for a latched topic,
+            or None if none came.
     """
 
     published: int
@@ -43,6 +47,7 @@ class TopicCounts(NamedTuple):
     silence: float
     back: float | None
     events: int
+    live: float | None
 
 
 class CallCounts(NamedTuple):
@@ -100,7 +105,13 @@ def count_topic(record: Record, name: str, rate: float) -> TopicCounts:
         disordered += number < newest and number not in seen
         seen.add(number)
         newest = max(newest, number)
-    silence, back = _silence([at for _, _, at in heard], record, rate) if rate else (0.0, 0.0)
+    silence = 0.0
+    back: float | None = 0.0
+    live: float | None = 0.0
+    if rate:
+        silence, back, ends = _silence([at for _, _, at in heard], record, rate)
+        alive = (at for _, published, at in heard if at >= ends and at - published < LIVE * 1e9)
+        live = next(((at - ends) / 1e9 for at in alive), None)
     return TopicCounts(
         published=sum(at >= since for at in made),
         lost=sum(at >= since for at in missing),
@@ -110,18 +121,23 @@ def count_topic(record: Record, name: str, rate: float) -> TopicCounts:
         silence=silence,
         back=back,
         events=sum(arrived + left for at, arrived, left in record.events[name] if at >= since),
+        live=live,
     )
 
 
-def _silence(arrivals: Sequence[int], record: Record, rate: float) -> tuple[float, float | None]:
-    """Return the longest silence and the time to its end (s), as `TopicCounts` has them."""
+def _silence(arrivals: Sequence[int], record: Record, rate: float) -> tuple[float, float | None, int]:
+    """Return the longest silence and the time to its end (s), as `TopicCounts` has them, and when (ns) it ended.
+
+    Without a silence, that is when the fault did.
+    """
     since = record.began - int(LEAD * 1e9)
     # Arrivals after the last publication end no silence that publishing has seen.
     within = [since, *(at for at in arrivals if since < at < record.stopped), record.stopped]
     length, ends = max((after - before, after) for before, after in pairwise(within))
     if length < _HOPED_FOR * 1e9 / rate:
-        return length / 1e9, 0.0
-    return length / 1e9, None if ends == record.stopped else max(0.0, (ends - record.ended) / 1e9)
+        return length / 1e9, 0.0, record.ended
+    back = None if ends == record.stopped else max(0.0, (ends - record.ended) / 1e9)
+    return length / 1e9, back, ends
 
 
 def count_calls(record: Record) -> CallCounts:

@@ -119,12 +119,17 @@ def _record(heard: list[tuple[int, int]]) -> Record:
 def test_lost_doubled_and_disordered_are_counted() -> None:
     whole = [(number, number) for number in range(1, 21)]
     counts = count_topic(_record(whole), "/a", 1.0)
-    assert counts == (12, 0, 0, 0, 0, 1.0, 0.0, 2)
+    assert counts == (12, 0, 0, 0, 0, 1.0, 0.0, 2, 0.0)
 
     without = [each for each in whole if each[0] not in {3, 11, 12, 13}]
     counts = count_topic(_record(without), "/a", 1.0)
     assert (counts.published, counts.lost, counts.early) == (12, 3, 1)
-    assert (counts.silence, counts.back) == (4.0, 2.0)
+    assert (counts.silence, counts.back, counts.live) == (4.0, 2.0, 0.0)
+
+    late = [(number, at if at < 11 else max(15, at)) for number, at in whole]
+    assert count_topic(_record(late), "/a", 1.0).live == 0.0  # the last one of the burst is live
+    stays_late = [(number, at if at < 11 else at + 2 if at < 17 else at + 1) for number, at in whole]
+    assert count_topic(_record(stays_late), "/a", 1.0).live is None
 
     again = [*without, (14, 20), (11, 20), (20, 20)]
     counts = count_topic(_record(again), "/a", 1.0)

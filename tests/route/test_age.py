@@ -11,6 +11,7 @@ from tests.route.test_missed_while_down import reopen
 from tests.support.offline import FakePeer
 from tests.support.virtual_time import set_clock
 
+from rsb_bridge.model.motion import LATEST
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.ros_interface import RawMessage, Request
 from rsb_bridge.route.age import MessageAge
@@ -27,10 +28,12 @@ __all__ = ["world"]
 S = 1_000_000_000
 
 
-def age_of(context: Context, max_age: float | None = 0.5, lifespan: float = 0.0) -> tuple[MessageAge, FakePeer]:
+def age_of(
+    context: Context, max_age: float | None = 0.5, lifespan: float = 0.0, *, moves: bool = False
+) -> tuple[MessageAge, FakePeer]:
     peer = FakePeer()
     age = MessageAge(context, peer)
-    age.settle((max_age,), armed=False, lifespan=lifespan)
+    age.settle((max_age,), armed=False, lifespan=lifespan, moves=moves)
     return age, peer
 
 
@@ -88,6 +91,70 @@ def test_a_lifespan_drops_what_is_surely_older(
     age, peer = age_of(context, None, lifespan=1.5)
     peer.stamps.offset, peer.stamps.uncertainty = offset, uncertainty
     assert age.why_old(context.stamps.now() - round(old * S)) == expected
+
+
+@pytest.mark.parametrize(
+    ("offset", "uncertainty", "usual", "old", "expected"),
+    [
+        (0.0, 0.001, 0.001, LATEST - 0.1, None),
+        (0.0, 0.001, 0.001, LATEST + 0.1, Cause.LINK_SLOW),
+        (0.0, 0.2, 0.2, LATEST + 0.1, None),  # it may be younger, or the link takes as long
+        (0.0, 0.001, 0.3, LATEST + 0.2, None),  # a link that is usually slow
+        (0.0, 0.001, 0.3, LATEST + 0.4, Cause.LINK_SLOW),
+        (None, None, 0.0, 9.0, None),  # nothing is known yet, and nothing has waited
+        (0.0, 0.001, 0.001, -1.0, None),  # from the future
+    ],
+)
+def test_command_is_dropped_if_surely_late(
+    make_context: Callable[..., Context],
+    offset: float | None,
+    uncertainty: float | None,
+    usual: float,
+    old: float,
+    expected: str,
+) -> None:
+    context = make_context()
+    age, peer = age_of(context, None, moves=True)
+    peer.stamps.offset, peer.stamps.uncertainty, peer.stamps.usual = offset, uncertainty, usual
+    assert age.why_old(context.stamps.now() - round(old * S)) == expected
+
+
+@pytest.mark.parametrize(
+    ("max_age", "armed", "moves", "only_newest", "oldest"),
+    [
+        (None, False, False, False, None),
+        (None, False, True, True, LATEST),
+        (None, True, True, True, LATEST),
+        (2.0, False, True, True, 2.0),
+        (0.0, False, True, False, None),
+        (0.0, True, True, False, None),
+    ],
+)
+def test_session_decides_how_late_command_may_be(
+    make_context: Callable[..., Context],
+    max_age: float | None,
+    armed: bool,
+    moves: bool,
+    only_newest: bool,
+    oldest: float | None,
+) -> None:
+    context = make_context()
+    age, _ = age_of(context, None)
+    age.settle((max_age, None), armed=armed, moves=moves)
+    assert (age.only_newest, age.is_on) == (only_newest, oldest is not None)
+    now, limit = context.stamps.now(), oldest or 60.0
+    assert age.is_young(now - round((limit - 0.1) * S))
+    assert age.is_young(now - round((limit + 0.1) * S)) == (oldest is None)
+
+
+def test_unsure_clock_drops_no_fresh_command(make_context: Callable[..., Context]) -> None:
+    """For some seconds after this machine's clock was set, stamps tell nothing."""
+    context = make_context()
+    age, _ = age_of(context, None, moves=True)
+    set_clock(context.clock, -3600.0)
+    batch = [RawMessage(b"", context.wall_ns(), b"a", source=context.wall_ns() - 3 * S)]
+    assert len(age.fresh(age.stamped(batch))) == 1
+    assert age.is_young(age.stamped(batch)[0].stamp)
 
 
 def test_many_expired_messages_make_a_topic_late(make_context: Callable[..., Context], loop: VirtualLoop) -> None:

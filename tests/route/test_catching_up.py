@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from rsb_bridge.route.catching_up import AT_FIRST, EVERY, FASTER, CatchUp
+from rsb_bridge.route.catching_up import AT_FIRST, EVERY, FASTER, LIVE_WITHIN, CatchUp
 
 if TYPE_CHECKING:
     from rsb_bridge.wire.framing import Message
@@ -70,6 +70,33 @@ def test_a_busy_machine_catches_up_with_the_topic(known: float) -> None:
     late = Late(400.0, known)
     late.over(10.0, every=5 * EVERY)
     assert late.over(2.0, since=10.0, every=5 * EVERY) >= 400.0 * 2 * 1.4
+
+
+@pytest.mark.parametrize("count", [1, 20, 5000])
+@pytest.mark.parametrize("late_by", [0.0, 0.05])
+def test_state_is_published_evenly_within_a_moment(count: int, late_by: float) -> None:
+    """Also where timers are late."""
+    left: list[Message] = [(b"", int(1e9 * number / 50), 0) for number in range(count)]
+    catch_up, now, most = CatchUp(), 7.0, 0
+    while left:
+        allowed = catch_up.allowed(left, now, 50.0, LIVE_WITHIN)
+        most = max(most, allowed)
+        left, now = left[allowed:], now + EVERY + late_by
+    assert now - 7.0 <= LIVE_WITHIN + 2 * (EVERY + late_by)
+    assert most <= 1 + count * (EVERY + late_by) / LIVE_WITHIN * 2
+
+
+def test_state_that_comes_one_by_one_is_spread() -> None:
+    catch_up = CatchUp()
+    assert sum(catch_up.allowed([(b"", 1, 0)], 7.0, 50.0, LIVE_WITHIN) for _ in range(100)) <= 2
+
+
+def test_state_behind_moment_is_published_at_once() -> None:
+    catch_up = CatchUp()
+    late: list[Message] = [(b"", 1, 0)] * 100
+    for step in range(100):
+        allowed = catch_up.allowed(late, step * EVERY, 50.0, LIVE_WITHIN)
+    assert allowed == len(late)
 
 
 def test_a_burst_is_no_rate() -> None:

@@ -315,7 +315,7 @@ def test_nothing_old_and_nothing_unarmed_gets_to_channel(world: World) -> None:
 
 def test_nothing_old_and_nothing_unarmed_gets_to_ros(make_context: Callable[..., Context]) -> None:
     """Age and lease are asked once more after a long check, right before DDS gets the message."""
-    receiver = opened(make_context(ros=OnePublisher()), FakePeer(), "/cmd")
+    receiver = opened(make_context(ros=OnePublisher()), FakePeer(), "/chat")
     assert all(not each for each in incoming_gates(receiver.route))
     everything_on(receiver.route)
     batch, arriving, leaving = map(order, incoming_gates(receiver.route))
@@ -395,7 +395,7 @@ def test_gate_counts_from_next_message_while_on(
 ) -> None:
     ros = OnePublisher()
     context = make_context(ros=ros)
-    receiver = opened(context, FakePeer(), "/cmd")
+    receiver = opened(context, FakePeer(), "/chat")
     old: Message = (b"old", context.stamps.now() - A_SECOND, 0)
 
     def published() -> int:
@@ -444,7 +444,7 @@ def test_message_of_unknown_arming_is_not_published(
 ) -> None:
     """Also one that is too short for the lease's number."""
     ros = OnePublisher()
-    receiver = opened(make_context(ros=ros), FakePeer(), "/cmd")
+    receiver = opened(make_context(ros=ros), FakePeer(), "/chat")
     receiver.deliver([(with_number(1, b"moves"), 0, LEASED), (b"1", 0, LEASED)])
     armed(receiver.route.arming, receiver.route.context)
     receiver.deliver([(b"moves", 0, 0), (b"1", 0, LEASED)])
@@ -456,7 +456,7 @@ def test_message_of_unknown_arming_is_not_published(
 
 def test_expired_messages_cause_is_their_age(make_context: Callable[..., Context]) -> None:
     context = make_context(ros=OnePublisher())
-    receiver = opened(context, FakePeer(), "/cmd")
+    receiver = opened(context, FakePeer(), "/chat")
     aged(receiver.route)
     for second in range(3):
         receiver.deliver([(b"old", context.stamps.now() - A_SECOND, 0)] * 10)

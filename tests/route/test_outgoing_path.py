@@ -10,10 +10,12 @@ from tests.route.test_gates import armed
 from tests.route.test_loop_filter import FIRST, World, world
 
 from rsb_bridge.cdr.known_types import DRIVING_TYPES
+from rsb_bridge.model.motion import LATEST
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.ros_interface import RawMessage
 from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.lease import LeaseHalf
+from rsb_bridge.route.ledger import REPLACED
 from rsb_bridge.route.route import Route
 from rsb_bridge.route.sending import remedy_for_size
 from rsb_bridge.route.topic_verdict import USE_TCP
@@ -28,7 +30,7 @@ if TYPE_CHECKING:
 
 __all__ = ["world"]
 BEST_EFFORT = Qos(reliability="best_effort")
-FLOAT = "std_msgs/msg/Float64"
+FLOAT, TRAJECTORY = "std_msgs/msg/Float64", "trajectory_msgs/msg/JointTrajectory"
 SECOND = 10**9
 
 
@@ -130,6 +132,40 @@ def test_of_velocities_that_waited_only_newest_is_sent(type_name: str, kept: int
     world.sender.route.flush()
     assert (world.ledger.sent_now, world.ledger.dropped["queue full"]) == (kept, 3 - kept)
     assert len(world.sent[-1]) == 4 + 2  # the number of the lease, and the newest message
+
+
+@pytest.mark.parametrize("arm", [False, True])
+@pytest.mark.parametrize("world", [{}, {"qos": 20}], indirect=True)
+def test_of_commands_that_waited_only_newest_is_sent(arm: bool, world: World) -> None:
+    world.sender.carried.type_name = TRAJECTORY
+    if arm:
+        armed(world.sender.route.arming, world.context)
+    world.sender.route.settle_age()
+    world.peer.channel.congested = True
+    assert publish(world, 5) == 0
+    world.peer.channel.congested = False
+    world.sender.route.flush()
+    assert (world.ledger.sent_now, world.ledger.dropped) == (1, {REPLACED: 4})
+
+
+def test_commands_that_come_at_once_all_pass(world: World) -> None:
+    """None of them has waited, though they are more than one turn takes."""
+    world.sender.carried.type_name = TRAJECTORY
+    world.sender.route.settle_age()
+    stamp = world.context.stamps.now()
+    world.path.offer([RawMessage(b"%d" % number, stamp, FIRST) for number in range(50)])
+    assert world.sent == [b"%d" % number for number in range(50)]
+
+
+def test_command_that_waited_too_long_is_not_sent(world: World) -> None:
+    world.sender.carried.type_name = TRAJECTORY
+    world.sender.route.settle_age()
+    world.peer.channel.congested = True
+    publish(world, 1)
+    world.wait(LATEST + 0.1)
+    world.peer.channel.congested = False
+    world.sender.route.flush()
+    assert (world.ledger.sent_now, world.ledger.expired) == (0, 1)
 
 
 def test_later_messages_are_lost_with_link(world: World) -> None:

@@ -36,6 +36,7 @@ def outbox(qos: Qos | None = None, *, own: Qos | None = None) -> Outbox:
         proposal=Propose(route=1, topic="/t", remote_topic="/t", from_client=True, qos=own),
         qos=qos or AUTO,
         arming=SimpleNamespace(required=False),
+        age=SimpleNamespace(only_newest=False),
         peer=SimpleNamespace(
             profile=NO_PROFILE, linked=True, budget=PeerBudget(0.0), keepalive=SimpleNamespace(in_doubt=False)
         ),

@@ -67,7 +67,7 @@ def test_rate_is_of_topic_across_all_routes(
     ros, peer = OnePublisher(), FakePeer()
     context = make_context(ros=ros)
     for number in range(100):
-        receiver = opened(context, peer, "/cmd_vel")
+        receiver = opened(context, peer, "/chat")
         receiver.route.limit.allow_here(1.0)
         receiver.deliver([(b"forward", 0, 0)] * 10)
         if number % 2:

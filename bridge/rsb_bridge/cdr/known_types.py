@@ -90,7 +90,7 @@ _RESTS: dict[str, tuple[Callable[[bytes], bytes], bool]] = {
 }
 """For each type, what makes a rest of a message, and whether it begins with a header."""
 DRIVING_TYPES = frozenset(_RESTS)
-"""Types with which robots are driven."""
+"""Types that drive robots: of those that may move one (`rsb_bridge.model.motion`), the ones whose rest is known."""
 
 
 def resting(type_name: str, message: bytes) -> bytes | None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import fnmatch
 import importlib.util
 import re
 import socket
@@ -18,7 +17,14 @@ from rsb_bridge.config.topic_rules import transport_of
 from rsb_bridge.config.validation import domain_of, zone_of
 from rsb_bridge.feature import installed
 from rsb_bridge.model import transports
-from rsb_bridge.model.demands import Demands, demand_on_entry, local_name, sources_of
+from rsb_bridge.model.demands import (
+    NO_DEMAND,
+    Demands,
+    demand_on_entry,
+    local_name,
+    smallest_max_age,
+    sources_of,
+)
 from rsb_bridge.model.limits import (
     KEPT_DEPTH,
     LATCHED_DEPTH,
@@ -28,6 +34,7 @@ from rsb_bridge.model.limits import (
     dds_ports,
     discovery_domain,
 )
+from rsb_bridge.model.motion import may_move
 from rsb_bridge.model.names import expand_type_name, split_type_name
 from rsb_bridge.model.qos import AUTO
 from rsb_bridge.model.session import Problem
@@ -39,17 +46,6 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.session import Client, Session, Topic
 
-_MOVING_TYPES = frozenset(
-    {
-        "Twist", "TwistStamped", "JointTrajectory", "JointJog", "AckermannDrive", "AckermannDriveStamped",
-        "ActuatorControls", "AttitudeTarget", "PositionTarget", "Thruster", "MultiDOFJointTrajectory",
-    }
-)  # fmt: skip
-"""Names of message types, of any package."""
-_MOVING_NAMES = (
-    "cmd*", "*_cmd", "*_cmd_vel", "joint_trajectory", "joint_command*", "*_command", "*_commands", "servo_*",
-)  # fmt: skip
-"""Last parts of names."""
 _MIDDLEWARE = "rmw_fastrtps_cpp"
 
 
@@ -238,12 +234,7 @@ def _is_installed(package: str, kind: str, name: str) -> bool:
 
 def moves_a_robot(topic: Topic) -> bool:
     """Whether messages of a topic's entry are commands that move a robot, most likely."""
-    if topic.kind != "topic":
-        return False
-    if topic.type.rpartition("/")[2] in _MOVING_TYPES:
-        return True
-    names = {each.rpartition("/")[2] for each in (topic.topic, topic.remote_topic or "")}
-    return any(fnmatch.fnmatchcase(name, pattern) for name in names for pattern in _MOVING_NAMES)
+    return topic.kind == "topic" and may_move(topic.type, topic.topic, topic.remote_topic or "")
 
 
 def _entries(session: Session) -> Iterator[tuple[Client | None, Topic]]:
@@ -265,12 +256,13 @@ def guarded_here_alone(session: Session) -> Iterator[str]:
             yield topic.topic
 
 
-def without_max_age(session: Session) -> Iterator[str]:
+def with_late_commands(session: Session) -> Iterator[str]:
     """Yield the names of a session's topics that move a robot and whose messages may be of any age."""
     demands = Demands(sources_of(session))
     for client, topic in _entries(session):
-        is_limited = topic.max_age is not None or topic.arm
-        if not (is_limited or topic.is_pattern):
-            is_limited = demand_on_entry(demands, session, client, topic).max_age is not None
-        if not is_limited and moves_a_robot(topic):
+        if not moves_a_robot(topic):
+            continue
+        demand = NO_DEMAND if topic.is_pattern else demand_on_entry(demands, session, client, topic)
+        stated = smallest_max_age((topic.max_age, demand.max_age))
+        if stated == 0.0 or (stated is None and topic.kept is not None):
             yield topic.topic

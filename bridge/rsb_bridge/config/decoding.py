@@ -15,6 +15,7 @@ from msgspec.structs import FieldInfo, fields
 from rsb_bridge.config.keys import KEY_LENGTH, conceal, is_key
 from rsb_bridge.feature import BRINGS_TRANSPORTS
 from rsb_bridge.model.session import Problem
+from rsb_bridge.model.topic_keys import TOPIC_KEYS
 from rsb_bridge.model.wording import Wording
 
 T = TypeVar("T", bound=msgspec.Struct)
@@ -102,13 +103,19 @@ def read(data: object, model: type[T], problems: list[Problem], location: str = 
     )
     for name, field in known.items():
         if name in data:
-            value = _value(data[name], field.type, problems, join(location, name))
+            value = _value(_zero_of(field.name, data[name]), field.type, problems, join(location, name))
             if value is not msgspec.UNSET:
                 values[field.name] = value
         elif field.required:
             expected = f"{_expected(field.type)}{_MEANINGS.get(name, '')}"
             problems.append(Problem(join(location, name), ValueMistake.MISSING(expected=expected)))
     return model(**values)
+
+
+def _zero_of(name: str, value: object) -> object:
+    """Return a value, or 0 for the word that a key has for it: ``max_age: none``."""
+    key = TOPIC_KEYS.get(name)
+    return 0.0 if key is not None and key.zero_word and value == key.zero_word else value
 
 
 @cache

@@ -10,6 +10,7 @@ from rsb_bridge.config.grants import CALL_USES, TOPIC_ENTRIES, TOPIC_USES, cover
 from rsb_bridge.config.rights import LISTED_AS, Rights, Use, rights_of_client, rights_of_server
 from rsb_bridge.model import transports
 from rsb_bridge.model.limits import NO_PORT, PORTS_PER_CLIENT
+from rsb_bridge.model.motion import NAMES_OF_MOTION
 from rsb_bridge.model.patterns import Pattern, is_pattern
 from rsb_bridge.model.text import join_first
 
@@ -19,11 +20,10 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Grant, Kind, May, Session
 
 _NAMED = 6
+_BELIEVED = {"/joint_*": ("/joint_states",), "/tf": ("/tf",), "/clock": ("/clock",)}
 MOVES_A_ROBOT = {
-    "/cmd_vel": ("/cmd_vel",),
-    "/joint_*": ("/joint_states", "/joint_trajectory", "/joint_command"),
-    "/tf": ("/tf",),
-    "/clock": ("/clock",),
+    pattern: (*(name for name in NAMES_OF_MOTION if fnmatch.fnmatchcase(name, pattern)), *_BELIEVED.get(pattern, ()))
+    for pattern in ("/cmd_vel", "/joint_*", "/joy", "*/commands", "/tf", "/clock")
 }
 """Patterns of topics by which a robot moves, or believes that it moves, each with examples of names."""
 ONLY_READ = frozenset(

@@ -206,6 +206,8 @@ class EventCode(StrEnum):
     ROUTE_LATCHED_FULL = "route.latched_full"
     ROUTE_SLOW_SUBSCRIBER = "route.slow_subscriber"
     """What DDS holds for a subscriber that does not take its messages fills the topic's part of a budget."""
+    ROUTE_COMMANDS_LEFT_OUT = "route.commands_left_out"
+    """Messages that may move a robot would have come late; the text has their number."""
     ROUTE_TOO_FAST = "route.too_fast"
     """The other side sends more messages than this side allows; the rest is left out."""
     ROUTE_OFFERED = "route.offered"

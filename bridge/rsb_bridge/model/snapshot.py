@@ -124,13 +124,13 @@ class Ledger:
     ``offered = delivered + throttled + dropped + expired + unknown + waiting + in_flight``. All are message counts
     since the route was made. `dropped` says each cause: ``queue full``, ``keep full``, ``outage``, ``link lost``,
     ``lost on the way``, ``too large``, ``publish failed``, ``latched full``, ``slow subscriber``, ``expands too much``,
-    ``malformed``, ``too complex``, ``would loop``, ``paused``, ``disarmed``, ``incomplete``.
+    ``malformed``, ``too complex``, ``would loop``, ``paused``, ``disarmed``, ``incomplete``, ``replaced``.
     """
 
     offered: int = 0  # taken from ROS on the sending side
     delivered: int = 0  # given to DDS on the receiving side
     throttled: int = 0  # left out for a highest rate
-    expired: int = 0  # dropped because they were older than `max_age`, or than their publisher's lifespan
+    expired: int = 0  # dropped because they were older than `max_age`, their publisher's lifespan or a command may be
     in_flight: int = 0  # sent, and not reported yet by the receiving side
     dropped: dict[str, int] = field(default_factory=dict)
     unknown: int = 0  # sent to a process that ended before it reported whether they arrived

@@ -56,7 +56,7 @@ class RangeText(Wording):
 
     DEADMAN = "{range} s, or 0 for none"
     LATE_AFTER = "{range} s, or 0 to accept any delay"
-    MAX_AGE = "{range} s, or 0 for no limit"
+    MAX_AGE = "{range} s, or none for no limit"
     STALE_AFTER = "{range} s, or 0 to never warn"
     RATE = "{range} Hz, or leave it out"
     TIMEOUT = "{range} s, or leave it out"
@@ -74,6 +74,7 @@ class TopicKey:
     range_text: RangeText | None = None
     unit: str = ""
     zero: bool = False  # whether 0 is allowed, too
+    zero_word: str = ""  # a word that an operator may give for 0, or empty
     sentence: str = ""  # the key with its value, for a person; `zero_sentence` if that is 0
     zero_sentence: str = ""
     live: bool = False  # whether a change leaves the route open
@@ -101,7 +102,7 @@ class TopicKey:
 
 _SWITCH = (("", "no"), ("yes", "yes"))
 _PRIORITIES = (("", "normal"), ("high", "high"), ("low", "low"))
-_OLD = "Seconds; an older {} 0: no limit. Empty: 1 s if it has to be armed, else no limit."
+_OLD = "Seconds; an older {} none: no limit. Empty: 1 s if it has to be armed, else no limit."
 _KNOWN_QOS = f"auto, {', '.join(PROFILES)}, a depth (20), or policies: {{reliability: best_effort}}"
 
 TOPIC_KEYS: Final = {key.name: key for key in (
@@ -140,10 +141,10 @@ TOPIC_KEYS: Final = {key.name: key for key in (
              sentence="late after {value:g} {unit}", zero_sentence="never late",
              label="Late after", help="Seconds that a message may take before a warning, or 0 to never warn.",
              blank="{session.late_after:g} s"),
-    TopicKey("max_age", "number", limits=MAX_AGE, range_text=RangeText.MAX_AGE, zero=True, unit="s",
+    TopicKey("max_age", "number", limits=MAX_AGE, range_text=RangeText.MAX_AGE, zero=True, zero_word="none", unit="s",
              live=True,
              sentence="dropped if older than {value:g} {unit}", zero_sentence="of any age",
-             label="Max age", help=_OLD.format("message is dropped."), blank="1 s if armed",
+             label="Max age", help=_OLD.format("message is dropped."), blank="1 s if armed, 0.5 s of commands",
              help_of_calls=_OLD.format("request is refused.")),
     TopicKey("keep", kinds="topics", live=True,
              label="Keep", help="Seconds of which all messages wait for a link that is away or too slow: 60, or "

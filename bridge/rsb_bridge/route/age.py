@@ -1,10 +1,11 @@
-"""Holds a route's messages and requests to `max_age` and to their publishers' lifespan.
+"""Holds a route's messages and requests to `max_age`, to their publishers' lifespan, and commands to `LATEST`.
 
 Each side measures a message's age when it would hand it on: the sender when it gives the message to the channel, the
 receiver when it would publish it. Nothing in between matters: queues, holds, pauses, reconnects.
 
 Where the age is not known exactly, `max_age` drops the message: the uncertainty of the other side's clock counts
-against it. A lifespan promises less, and drops what is surely older.
+against it. A lifespan promises less, and drops what is surely older; so does `LATEST`, which holds for what may move a
+robot where no session says otherwise.
 """
 
 from __future__ import annotations
@@ -13,7 +14,8 @@ from collections import Counter, deque
 from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.model.clock import shifted
-from rsb_bridge.model.demands import effective_max_age
+from rsb_bridge.model.demands import effective_max_age, smallest_max_age
+from rsb_bridge.model.motion import LATEST
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause, Verdict
 from rsb_bridge.ros.ros_interface import RawMessage, Request
@@ -113,25 +115,34 @@ class MessageAge:
         self.max_age = 0.0  # s that holds for the two sides, or 0 for no limit
         # s that the other side's session sets where it has accepted the route, 0 for no limit, or None if it sets none.
         self.accepted: float | None = None
+        self.only_newest = False  # of what waits for the link only the newest may pass, as it may move a robot
         self.publishers = PublisherClocks()  # of those whose messages are taken
         self._context = context
         self._peer = peer
-        self._limit = 0.0  # s: the smaller one of `max_age` and the lifespan
+        self._lifespan = 0.0  # s, or 0 for none
+        self._latest = 0.0  # s, beyond the usual delay of the link, or 0 for any age
+        self._limit = 0.0  # s: the smallest one of `max_age` and these two
         self._limit_ns = 0
         self._steps = 0
         self._counts: Counter[Cause] = Counter()
         self._lately: deque[tuple[int, Counter[Cause]]] = deque(maxlen=LATELY + 1)
         self._since: float | None = None
 
-    def settle(self, demands: Iterable[float | None], *, armed: bool, lifespan: float = 0.0) -> None:
+    def settle(
+        self, demands: Iterable[float | None], *, armed: bool, lifespan: float = 0.0, moves: bool = False
+    ) -> None:
         """Apply the demands of both sides.
 
         Args:
             demands: limits of both sides: s, 0 for no limit, or None if a session sets none.
             lifespan: s, of its publishers, or 0 for none.
+            moves: whether its messages may move a robot, and are not kept.
         """
-        self.max_age = effective_max_age(demands, armed=armed)
-        self._limit = min(filter(None, (self.max_age, lifespan)), default=0.0)
+        stated = smallest_max_age(demands)
+        self.max_age = effective_max_age((stated,), armed=armed)
+        self.only_newest = moves and stated != 0.0
+        self._lifespan, self._latest = lifespan, LATEST if moves and stated is None else 0.0
+        self._limit = min(filter(None, (self.max_age, lifespan, self._latest)), default=0.0)
         self._limit_ns = int(self._limit * 1e9)
         was_on, self.is_on = self.is_on, self._limit > 0.0
         if self.is_on != was_on:
@@ -209,7 +220,8 @@ class MessageAge:
         Args:
             stamp: ns, by the other side's clock.
         """
-        offset, uncertainty = self._peer.stamps.offset, self._peer.stamps.uncertainty
+        clock = self._peer.stamps
+        offset, uncertainty = clock.offset, clock.uncertainty
         if offset is None or uncertainty is None:
             return Cause.CLOCK_UNKNOWN if self.max_age else None
         age = (self._context.stamps.now() - stamp) / 1e9 + offset
@@ -221,7 +233,9 @@ class MessageAge:
                 # The remedies differ: an uncertain clock needs a moment, a slow link a lower rate.
                 doubtful = age <= self.max_age and uncertainty > self.max_age / 2
                 return Cause.CLOCK_UNKNOWN if doubtful else Cause.LINK_SLOW
-        return Cause.LINK_SLOW if age - uncertainty > self._limit else None
+        if self._latest and age - max(uncertainty, clock.usual) > self._latest:
+            return Cause.LINK_SLOW
+        return Cause.LINK_SLOW if self._lifespan and age - uncertainty > self._lifespan else None
 
     # --- what is made of it
 

@@ -28,7 +28,6 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias, TypeVar
 
 import msgspec
 
-from rsb_bridge.cdr.known_types import DRIVING_TYPES
 from rsb_bridge.model.budgets import TokenBucket
 from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.verdict import Cause
@@ -244,7 +243,7 @@ def throttle_sieve(throttle: Throttle, ledger: RouteLedger, flow: TopicFlow, lat
     def sieve(batch: Sequence[RawMessage]) -> Sequence[RawMessage]:
         passed = [message for message in batch if throttle.passes(message.stamp)]
         left_out = len(batch) - len(passed)
-        if flow.carried.type_name in DRIVING_TYPES or flow.route.arming.required:
+        if flow.may_move or flow.route.arming.required:
             last = None if passed and passed[-1] is batch[-1] else batch[-1]
             left_out += later.follow(last) - (last is not None)
         ledger.throttled += left_out

@@ -104,6 +104,10 @@ class Facts(Protocol):
     def learns(self) -> bool:
         """Whether its rate and delays are typical now, so that the usual values are learned from them."""
 
+    @property
+    def may_not_be_late(self) -> bool:
+        """Whether it carries messages that may move a robot, and that are not kept."""
+
     def waiting_text(self) -> str:
         """Return why it carries nothing while its link is away and the association goes on, perhaps with `LASTING`."""
 

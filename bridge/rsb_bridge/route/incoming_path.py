@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from functools import partial
 from typing import TYPE_CHECKING
@@ -15,7 +16,7 @@ from rsb_bridge.model.limits import OUTLIVE
 from rsb_bridge.model.qos import AUTO_DEPTH
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.ros.ros_interface import RosError
-from rsb_bridge.route.catching_up import EVERY, LATE, CatchUp
+from rsb_bridge.route.catching_up import EVERY, LATE, LIVE_WITHIN, CatchUp
 from rsb_bridge.route.gates import NO_SAMPLE, GatedMessage, chained, compose_when_switched, incoming_gates, unleased
 from rsb_bridge.route.latched import LatchedFullError, LatchedTopic
 from rsb_bridge.route.ledger import CAUSES
@@ -104,9 +105,8 @@ class IncomingPath:
         if offset is None or not LATE < (now - messages[0][1]) / 1e9 + offset < OUTLIVE.high or self._must_be_fresh:
             self._hand_on(messages, now, began)
             return
-        allowed = self._catch_up.allowed(
-            messages, began, max(self.route.meter.rate, self.route.meter.usual_rate or 0.0)
-        )
+        rate = max(self.route.meter.rate, self.route.meter.usual_rate or 0.0)
+        allowed = self._catch_up.allowed(messages, began, rate, math.inf if self.flow.is_whole else LIVE_WITHIN)
         self._hand_on(messages[:allowed], now, began)
         if later := messages[allowed:]:
             self.unpacker.pause(later, EVERY)

@@ -28,6 +28,8 @@ _MOST_CAUSES = 32
 _OTHER = "other"
 OUTAGE, KEEP_FULL = "outage", "keep full"
 """Left out of a queue: older than the topic promises to keep for a link that is away; beyond the bytes of `keep`."""
+REPLACED = "replaced"
+"""Left out of the queue of what may move a robot, as a newer message came before the link took it."""
 THROTTLED = "throttled"
 """The receiver left these out, for the rate that it allows."""
 CAUSES = {

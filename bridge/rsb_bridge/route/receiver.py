@@ -256,6 +256,8 @@ class Receiver:
         self.route.age.update(self.path.received, now)
         if self.route.link_full is not None:
             self.flow.full_at = now
+        if self.route.age.only_newest or self.flow.left_out.is_on:
+            self.flow.judge_left_out(self.facts.ledger, now)
 
     def configure(self) -> None:
         self.flow.set_stale_after()
@@ -288,7 +290,7 @@ class Receiver:
         return self.flow.silence.watch.after, report, audience, listeners.others, listeners.clocks
 
     def next_change(self, now: float, crossing: Crossing) -> float:
-        if self.flow.lateness.since is not None or self.facts.sender_ledger.open:
+        if self.flow.lateness.since is not None or self.flow.left_out.is_due or self.facts.sender_ledger.open:
             return now
         counts = self.facts.silence_counts
         return self.flow.next_change(now, awaited=crossing.flows, counts=counts, polled=self._is_polled)

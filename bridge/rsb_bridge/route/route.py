@@ -373,7 +373,8 @@ class Route:
     def settle_age(self) -> None:
         """Apply both sides' age limits; called after each change of them."""
         demands = self.proposal.max_age, self.age.accepted, self.arming.own.max_age
-        self.age.settle(demands, armed=self.arming.required, lifespan=self.half.facts.lifespan)
+        facts = self.half.facts
+        self.age.settle(demands, armed=self.arming.required, lifespan=facts.lifespan, moves=facts.may_not_be_late)
 
     # --- time
 

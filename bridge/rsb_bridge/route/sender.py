@@ -288,7 +288,7 @@ class Sender:
         return self.flow.silence.watch.after, self.facts.report, self.resolver.unresolved, subscription.failure, lost
 
     def next_change(self, now: float, crossing: Crossing) -> float:
-        if self.flow.lateness.since is not None or not self.path.traffic.still:
+        if self.flow.lateness.since is not None or self.flow.left_out.is_due or not self.path.traffic.still:
             return now
         if self.backlog.exists and self.route.peer.linked:
             return now
@@ -333,6 +333,8 @@ class Sender:
         self.route.age.update(self.counts.offered, now)
         if self.route.link_full is not None:
             self.flow.full_at = now
+        if self.route.age.only_newest or self.flow.left_out.is_on:
+            self.flow.judge_left_out(ledger, now)
 
     def act(self, now: float, crossing: Crossing) -> None:
         self.route.limit.set_profile_rate((self.route.peer.profile.max_rate or 0.0) if self._profile_limits else 0.0)

@@ -15,7 +15,7 @@ from rsb_bridge.model.clock import shifted
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import AUTO_DEPTH, AUTO_SECONDS, QUEUE_BYTES
 from rsb_bridge.route.gates import NO_SAMPLE, chained, compose_when_switched, sending_gates, sifting
-from rsb_bridge.route.ledger import CAUSES, KEEP_FULL, OUTAGE
+from rsb_bridge.route.ledger import CAUSES, KEEP_FULL, OUTAGE, REPLACED
 from rsb_bridge.route.peeking import peeked
 from rsb_bridge.route.rate_limit import LastLater, LatestLater, Throttle
 from rsb_bridge.route.route import route_weight
@@ -282,6 +282,23 @@ class Outbox:
         self._limits = limits
         self._trim(now, publisher)
 
+    def submit(
+        self, messages: Sequence[Message], now: float, publisher: bytes, channel: SendingChannel, depth: int
+    ) -> None:
+        """Send messages of one publisher, and have those wait that the channel does not take.
+
+        Args:
+            depth: as of `limits`.
+        """
+        limits = self.limits(channel, depth, now)
+        # What comes at once has not waited: of several commands none is left out while the channel takes them.
+        if self._route.age.only_newest and not self._queue.waiting:
+            self._queue.add(messages, now, publisher)
+            self.flush(channel, now)
+            messages = ()
+        self.add(messages, now, publisher, limits)
+        self.flush(channel, now)
+
     def resume(self, now: float) -> None:
         """Drop kept messages that have grown too old by `now` (s), also of silent publishers."""
         if self._keep is not None:
@@ -298,6 +315,8 @@ class Outbox:
         # A connection that may be dead carries nothing either, though it takes seconds until it is given up.
         elif self._backlog.exists or self._route.peer.keepalive.in_doubt:
             self._ledger.drop(OUTAGE, old + beyond)
+        elif self._route.age.only_newest:
+            self._ledger.drop(REPLACED, old + beyond)
         else:
             self._ledger.drop("queue full", old + beyond)
             self._overload.dropped(now)
@@ -343,8 +362,9 @@ class Outbox:
         if not route.peer.linked:
             # All topics of a link that is away may wait for minutes, and share one limit.
             size = min(size, self._queue.room())
-        if route.arming.required and self._end.of(self._carried.type_name) not in ("", END_NONE):
-            # It is a state: after a stall, a robot would follow all the old ones before the present one.
+        # A command is a state: after a stall, a robot would follow all the old ones before the present one.
+        rests = route.arming.required and self._end.of(self._carried.type_name) not in ("", END_NONE)
+        if rests or route.age.only_newest:
             return QueueLimits(1, 0.0, size)
         self._overload.judge(now, self._queue.oldest_since, len(self._queue), channel.still(now))
         qos, profile = self._flow.qos, route.peer.profile
@@ -617,8 +637,7 @@ class OutgoingPath:
         traffic.bytes += size
         if outbox.pass_on(messages, size, channel):
             return
-        outbox.add(messages, now, publisher, outbox.limits(channel, depth, now))
-        self.flush()
+        outbox.submit(messages, now, publisher, channel, depth)
 
     def flush(self) -> None:
         if (channel := self._carried.channel) is not None:

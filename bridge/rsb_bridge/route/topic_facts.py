@@ -85,6 +85,10 @@ class TopicFacts(ABC):
         return 0.0 if self.flow.qos is None else self.flow.qos.lifespan
 
     @property
+    def may_not_be_late(self) -> bool:
+        return self.flow.may_move and (self.route.proposal.keep is None or self.route.arming.required)
+
+    @property
     def learns(self) -> bool:
         """Whether neither the link is full in this direction nor messages are late or lost.
 

@@ -9,10 +9,12 @@ from rsb_bridge.cdr.known_types import DRIVING_TYPES
 from rsb_bridge.model.audience import NOBODY
 from rsb_bridge.model.by_hand import END_ZERO, agreed_end
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.motion import may_move
 from rsb_bridge.model.snapshot import Level, State
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.idling import POLLED_EVERY
 from rsb_bridge.route.lateness import LateWatch
+from rsb_bridge.route.left_out import LeftOut
 from rsb_bridge.route.peeking import PeekSlot
 from rsb_bridge.telemetry.meters import LatencyMeter, StaleWatch
 
@@ -21,6 +23,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.session import Session, Topic
+    from rsb_bridge.model.snapshot import Ledger
     from rsb_bridge.route.half import Carried
     from rsb_bridge.route.peeking import Tap
     from rsb_bridge.route.route import Route
@@ -167,6 +170,7 @@ class TopicFlow:
         audience: the final subscriptions, as far as this half knows.
         peek_slot: takes the next message for operators who look at the topic.
         lateness: watches for messages that take too long.
+        left_out: tells of commands that were not published, as they would have been late.
         flows_since: when (s) messages could cross at last.
         full_at: when (s) the link was last full in this direction in the present opening, or None.
     """
@@ -179,6 +183,7 @@ class TopicFlow:
         self.latency = LatencyMeter(_LATENCY_TICKS)
         self.silence = SilenceWatch(self.route.log, context.now())
         self.lateness = LateWatch()
+        self.left_out = LeftOut(route.log)
         self.flows_since = context.now()
         self.full_at: float | None = None
         self.silence.configure(route.spec, context.session)  # a route that is made is awake
@@ -232,6 +237,17 @@ class TopicFlow:
         """Whether it is latched, so that no message is due after the first."""
         return self.qos is not None and self.qos.latched
 
+    @property
+    def may_move(self) -> bool:
+        """Whether its messages may move a robot (`rsb_bridge.model.motion`)."""
+        route = self.route
+        return route.purpose.in_graph and may_move(self.carried.type_name, route.topic, route.remote_topic)
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether all of its messages are wanted, however late, and not just a state."""
+        return self.route.proposal.keep is not None or self.qos is None or self.qos.history == "keep_all"
+
     def next_change(self, now: float, *, awaited: bool, counts: bool, polled: bool) -> float:
         """Return when (s) something changes by itself next or infinity.
 
@@ -249,6 +265,12 @@ class TopicFlow:
             # Routes that came together do not wake together.
             changes.append(now + self.route.context.random.uniform(POLLED_EVERY / 2, POLLED_EVERY))
         return min(changes)
+
+    def judge_left_out(self, ledger: Ledger, now: float) -> None:
+        """Tell of commands that were left out; called once a second while they may be."""
+        route = self.route
+        linked = route.peer.linked and not route.peer.keepalive.in_doubt
+        self.left_out.judge(ledger, now, counts=route.age.only_newest, linked=linked)
 
     def act(self, now: float, *, awaited: bool) -> None:
         """Do what follows from the new verdict."""

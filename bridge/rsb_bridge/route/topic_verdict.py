@@ -14,6 +14,7 @@ from rsb_bridge.route.age import expired_verdict
 from rsb_bridge.route.blocking_rules import ACCEPTED, JudgedHalf, first_missing
 from rsb_bridge.route.combined_verdict import NODE_LENGTH, NODES, node_names
 from rsb_bridge.route.lateness import late_verdict
+from rsb_bridge.route.ledger import REPLACED
 from rsb_bridge.telemetry.watches import FAST_ABOVE, LATELY
 
 if TYPE_CHECKING:
@@ -54,6 +55,10 @@ _LOSSES: dict[str, tuple[Cause, str]] = {
     "queue full": (
         Cause.QUEUE_FULL,
         "more is published than the link carries: set max_rate, compression: zstd or priority",
+    ),
+    REPLACED: (
+        Cause.QUEUE_FULL,
+        "newer ones came before the link took them: set max_rate, compression: zstd or priority",
     ),
     "keep full": (
         Cause.QUEUE_FULL,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from rsb_bridge.cdr.known_types import DRIVING_TYPES
-from rsb_bridge.config.advice import advise, guarded_here_alone, uninstalled_types, without_max_age
+from rsb_bridge.config.advice import advise, guarded_here_alone, moves_a_robot, uninstalled_types, with_late_commands
 from rsb_bridge.config.file_form import LISTS, NOUNS
 from rsb_bridge.config.keys import (
     Key,
@@ -31,8 +31,9 @@ from rsb_bridge.config.validation import domain_of
 from rsb_bridge.config.yaml_text import inline
 from rsb_bridge.feature import installed
 from rsb_bridge.model.by_hand import END_CANCEL
-from rsb_bridge.model.demands import Demands, demand_on_entry, describe, full_type, sources_of
+from rsb_bridge.model.demands import NO_DEMAND, Demands, demand_on_entry, describe, full_type, sources_of
 from rsb_bridge.model.keep import KEEP_BUDGET
+from rsb_bridge.model.motion import LATEST
 from rsb_bridge.model.session import Grant
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.topic_keys import TOPIC_KEYS
@@ -65,6 +66,10 @@ class SessionCheckText(Wording):
     NO_OTHER_GUARD = (
         "hint: nothing stops what {names} drives if this bridge is killed or frozen: give the robot's base a timeout"
     )
+    LATE_COMMANDS = (
+        "hint: old commands of {names} move a robot when the network recovers: leave out keep, and max_age: none"
+    )
+    OF_COMMANDS = ", dropped if older than {seconds:g} s beyond the link's usual delay"
     KEEPS = "keeps {kept} for the link"
     KEPT_NOTHING = "so that nothing is kept after all"
     KEPT = "keep: at most {size} MiB a link ({names})"
@@ -126,11 +131,13 @@ def summary(session: Session, places: Mapping[SourceKey, str] | None = None) -> 
 def _demands_on(
     topic: Topic, session: Session, client: Client | None, demands: Demands, places: Mapping[SourceKey, str]
 ) -> str:
-    """Describe the demands on the name of an entry that the entry itself does not show."""
-    if topic.is_pattern:
-        return ""
-    demand = demand_on_entry(demands, session, client, topic)
+    """Describe the demands on an entry, or on its name, that the entry itself does not show."""
+    demand = NO_DEMAND if topic.is_pattern else demand_on_entry(demands, session, client, topic)
     limit = f", dropped if older than {demand.max_age:g} s" if demand.max_age and not topic.max_age else ""
+    if moves_a_robot(topic) and topic.max_age is None and demand.max_age is None and topic.kept is None:
+        limit = SessionCheckText.OF_COMMANDS(seconds=LATEST)
+    if topic.is_pattern:
+        return limit
     if demand.limits is not None:
         lines = ", ".join(describe(source, places) for source in demand.limited_by)
         limit += SessionCheckText.LIMITED(limits=demand.limits, lines=lines)
@@ -205,9 +212,8 @@ def hints(session: Session) -> Iterator[str]:
     """Yield advice about a session without mistakes."""
     if alone := tuple(dict.fromkeys(guarded_here_alone(session))):
         yield SessionCheckText.NO_OTHER_GUARD(names=join_first(alone, _NAMED))
-    if old := tuple(dict.fromkeys(without_max_age(session))):
-        names = join_first(old, _NAMED)
-        yield f"  hint: a late command may move a robot when the network recovers: set max_age: 0.5 on {names}"
+    if late := tuple(dict.fromkeys(with_late_commands(session))):
+        yield f"  {SessionCheckText.LATE_COMMANDS(names=join_first(late, _NAMED))}"
 
 
 def _domain(session: Session) -> str:

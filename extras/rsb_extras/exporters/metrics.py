@@ -38,8 +38,8 @@ OTHER = "other"
 DROPPED = frozenset(
     {
         "already published", "disarmed", "expands too much", "incomplete", "keep full", "latched full", "link lost",
-        "lost on the way", "malformed", "outage", "paused", "publish failed", "queue full", "slow subscriber",
-        "too complex", "too large", "unknown source", "would loop",
+        "lost on the way", "malformed", "outage", "paused", "publish failed", "queue full", "replaced",
+        "slow subscriber", "too complex", "too large", "unknown source", "would loop",
     }
 )  # fmt: skip
 REFUSED = frozenset(Refused) - {Refused.LOST, Refused.OTHER}

@@ -35,6 +35,7 @@ class CallsFacts:
     velocity = None
     resends = True
     learns = True
+    may_not_be_late = False
     lifespan = 0.0
 
     def __init__(self, flow: CallsFlow, types: LaneTypes, end: CallsEnd, kind: CallerKind | ProviderKind) -> None:
