@@ -27,7 +27,9 @@ from rsb_bridge.control.protocol import RequestProblem
 from rsb_bridge.model.by_hand import VelocityLimits
 from rsb_bridge.model.commands import AnswerAsker
 from rsb_bridge.model.session import Topic
-from rsb_bridge.model.snapshot import ArmingSnapshot, RouteSnapshot, State
+from rsb_bridge.model.snapshot import ArmingSnapshot, Driver, RouteSnapshot, State
+from rsb_bridge.model.verdict import Cause
+from rsb_console.notation.formats import DriverText
 from rsb_console.operations.topic_operations import OperationText
 from rsb_console.screens.help import HelpScreen
 from rsb_console.screens.take_over import HandOverScreen, HandOverText
@@ -69,6 +71,42 @@ async def test_question_that_names_topic_and_robot_comes_before(app: ConsoleApp,
     await gone(pilot, "Arm /cmd_vel of robot1?")
     assert engine_of(app).commands == []
     await arm(app, pilot)
+
+
+JOYSTICK, TELEOP = Driver("/joystick", here=True), Driver("/teleop", here=True, rate=10.02)
+HAND, NAV = Driver("", here=True, rate=0.0, by_hand=True), Driver("/nav", here=False)
+
+
+@pytest.mark.parametrize(
+    ("drivers", "text", "names"),
+    [
+        ((), DriverText.NOBODY, ""),
+        ((HAND,), DriverText.NOBODY, ""),
+        ((JOYSTICK,), DriverText.ONE, "/joystick"),
+        ((JOYSTICK, TELEOP), DriverText.SEVERAL, "/joystick and /teleop (10 Hz)"),
+        ((TELEOP, NAV), DriverText.SEVERAL, f"/teleop (10 Hz) and {DriverText.THERE(who='/nav')}"),
+    ],
+)
+@on_main()
+async def test_question_names_who_publishes_now(
+    app: ConsoleApp, pilot: Pilot[None], drivers: tuple[Driver, ...], text: DriverText, names: str
+) -> None:
+    put(app, replace(DISARMED, drivers=drivers))
+    await shown(pilot, "⊘ DISARMED")
+    await pilot.press("A")
+    await shown(pilot, text, **({"who": names} if names else {}))
+
+
+@on_main()
+async def test_several_drivers_are_counted_and_named(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    drivers = (replace(JOYSTICK, rate=5.0), TELEOP)
+    put(app, replace(ARMED, cause=Cause.SEVERAL_PUBLISHERS, reason="both publish it", drivers=drivers))
+    await shown(pilot, "◆ ARMED ×2 /cmd_vel")
+    await shown(pilot, "both publish it")
+    await shown(pilot, "/joystick (5 Hz)")
+    await shown(pilot, "/teleop (10 Hz)")
+    put(app, replace(ARMED, arming=None, cause=Cause.SEVERAL_PUBLISHERS, drivers=drivers))
+    await shown(pilot, "● ok ×2    /cmd_vel")
 
 
 @on_main()

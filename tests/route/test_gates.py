@@ -31,6 +31,7 @@ from rsb_bridge.route.gates import (
     budget_gate,
     calling_gates,
     chained,
+    driver_sieve,
     fresh_sieve,
     incoming_gates,
     kept_age_sieve,
@@ -301,7 +302,7 @@ def test_nothing_old_and_nothing_unarmed_gets_to_channel(world: World) -> None:
     everything_on(world.sender.route)
     gates = world.path.gates
     assert order(gates.batch) == [armed_gate]
-    assert order(gates.arriving) == [fresh_sieve, loop_sieve]
+    assert order(gates.arriving) == [fresh_sieve, loop_sieve, driver_sieve]
     assert order(gates.sourced) == [throttle_sieve]
     assert order(gates.kept) == [kept_age_sieve, kept_loop_sieve]
     assert order(gates.packed) == [Outbox]
@@ -310,7 +311,7 @@ def test_nothing_old_and_nothing_unarmed_gets_to_channel(world: World) -> None:
         durability="transient_local"
     )  # its messages wait in their histories, and are asked later
     world.path.compose()
-    assert order(world.path.gates.arriving) == [loop_sieve]
+    assert order(world.path.gates.arriving) == [loop_sieve, driver_sieve]
 
 
 def test_nothing_old_and_nothing_unarmed_gets_to_ros(make_context: Callable[..., Context]) -> None:

@@ -78,7 +78,7 @@ def test_last_message_of_what_may_move_robot_passes(
     type_name: str, arm: bool, passes: bool, count: int, world: World
 ) -> None:
     """It may be the stop; it comes a beat later, and only if nothing follows it."""
-    world.sender.carried.type_name = type_name
+    world.sender.flow.knows(type_name, world.sender.carried.type_hash, world.sender.flow.qos)
     if arm:
         armed(world.sender.route.arming, world.context)
     limited(world)
@@ -124,7 +124,7 @@ def test_age_is_asked_again_when_message_leaves_queue(world: World) -> None:
 @pytest.mark.parametrize(("type_name", "kept"), [("geometry_msgs/msg/Twist", 1), ("std_msgs/msg/String", 3)])
 def test_of_velocities_that_waited_only_newest_is_sent(type_name: str, kept: int, world: World) -> None:
     world.sender.route.arming.demand(required=True, deadman=0.0)
-    world.sender.carried.type_name = type_name
+    world.sender.flow.knows(type_name, world.sender.carried.type_hash, world.sender.flow.qos)
     world.peer.channel.congested = True
     for number in range(3):
         world.path.receive([RawMessage(bytes(number), world.context.stamps.now(), FIRST)])
@@ -137,7 +137,7 @@ def test_of_velocities_that_waited_only_newest_is_sent(type_name: str, kept: int
 @pytest.mark.parametrize("arm", [False, True])
 @pytest.mark.parametrize("world", [{}, {"qos": 20}], indirect=True)
 def test_of_commands_that_waited_only_newest_is_sent(arm: bool, world: World) -> None:
-    world.sender.carried.type_name = TRAJECTORY
+    world.sender.flow.knows(TRAJECTORY, world.sender.carried.type_hash, world.sender.flow.qos)
     if arm:
         armed(world.sender.route.arming, world.context)
     world.sender.route.settle_age()
@@ -150,7 +150,7 @@ def test_of_commands_that_waited_only_newest_is_sent(arm: bool, world: World) ->
 
 def test_commands_that_come_at_once_all_pass(world: World) -> None:
     """None of them has waited, though they are more than one turn takes."""
-    world.sender.carried.type_name = TRAJECTORY
+    world.sender.flow.knows(TRAJECTORY, world.sender.carried.type_hash, world.sender.flow.qos)
     world.sender.route.settle_age()
     stamp = world.context.stamps.now()
     world.path.offer([RawMessage(b"%d" % number, stamp, FIRST) for number in range(50)])
@@ -158,7 +158,7 @@ def test_commands_that_come_at_once_all_pass(world: World) -> None:
 
 
 def test_command_that_waited_too_long_is_not_sent(world: World) -> None:
-    world.sender.carried.type_name = TRAJECTORY
+    world.sender.flow.knows(TRAJECTORY, world.sender.carried.type_hash, world.sender.flow.qos)
     world.sender.route.settle_age()
     world.peer.channel.congested = True
     publish(world, 1)

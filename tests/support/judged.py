@@ -57,6 +57,7 @@ _OF_TOPIC: dict[str, Any] = {
     "audience": NOBODY,
     "others": (),
     "clocks": frozenset(),
+    "drivers": (),
     "left_out": "",
     "stale_since": None,
     "stopped_since": None,
@@ -116,6 +117,7 @@ def topic_half(now: float = 0.0, **facts: Any) -> Any:
         losses=SimpleNamespace(loss=known["loss"]),
         lost_in_dds=lambda: known["lost_in_dds"],
     )
+    half.drivers = SimpleNamespace(several=known["drivers"], here=known["drivers"], there=())
     half.backlog = SimpleNamespace(exists=known["left"] > 0, left=known["left"])
     half.stale_since = lambda crossing: known["stale_since"]
     half.late = lambda: known["late"]

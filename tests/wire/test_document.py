@@ -29,6 +29,7 @@ STRUCTS = {
     "ReceivedReport": records.ReceivedReport,
     "Verdict": records.VerdictRecord,
     "Deaf": records.DeafRecord,
+    "Driver": records.DriverRecord,
     "Full": records.FullRecord,
     "Path": records.PathRecord,
     "LaneEntry": records.LaneEntry,

@@ -183,6 +183,8 @@ class EventCode(StrEnum):
     """The route has waited for a while for something that a person may have to mend; `Event.cause` says for what."""
     ROUTE_RECOVERED = "route.recovered"
     """The fault of `ROUTE_FAULT` or the wait of `ROUTE_WAITING` is over."""
+    ROUTE_SEVERAL_PUBLISHERS = "route.several_publishers"
+    """Several drivers publish what moves a robot."""
     ROUTE_CHANNEL_LOST = "route.channel_lost"
     """The data connection of the route broke while the link stayed up."""
     ROUTE_LOOP = "route.loop"

@@ -6,7 +6,7 @@ as the snapshot has it, such as a topic's name, needs no line here.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from enum import StrEnum, auto
 from functools import cached_property
 from operator import attrgetter
@@ -125,6 +125,7 @@ FIGURES = (
     Figure(_ROUTE, "kind", source="spec.kind"),
     Figure(_ROUTE, "pattern", source=lambda route: route.pattern or None),
     Figure(_ROUTE, "missing", source=lambda route: [stage.name for stage in route.stages if not stage.done]),
+    Figure(_ROUTE, "drivers", source=lambda route: [asdict(each) for each in route.drivers]),
     Figure(_ROUTE, "type_name", shown="type"),
     Figure(_ROUTE, "provider", source="spec.provider"),
 

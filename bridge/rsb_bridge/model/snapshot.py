@@ -195,6 +195,18 @@ class Acknowledgement:
 
 
 @dataclass(frozen=True, slots=True)
+class Driver:
+    """A node, a link or an operator's hand that publishes what moves a robot."""
+
+    name: str  # of the node, ``link NAME`` for another link of that side's bridge, or empty for a hand
+    here: bool  # whether it publishes on this side
+    rate: float | None = (
+        None  # Hz that this route takes of it, or None if it is not counted: it publishes beside the link
+    )
+    by_hand: bool = False
+
+
+@dataclass(frozen=True, slots=True)
 class RouteSnapshot:
     """One topic in one direction over one link, or one service, action or node's parameters (`spec.kind`)."""
 
@@ -234,6 +246,8 @@ class RouteSnapshot:
     publishers: tuple[str, ...] = ()  # known nodes that publish it on the sending side
     subscribers: tuple[str, ...] = ()
     """Known nodes that subscribe to it on the receiving side, whether they hear it or not."""
+    drivers: tuple[Driver, ...] = ()
+    """If it moves a robot: the publishers on the sending side, and on the receiving side those beside this link."""
     audience: Audience = NOBODY  # the subscriptions on the receiving side; empty of what is no topic
     arming: ArmingSnapshot | None = None  # whether it is armed, or None if arming is not required
     allowed_rate: float | None = None  # Hz that the rights of the two sides allow, or None for any rate

@@ -62,6 +62,8 @@ class Cause(StrEnum):
     NO_SUBSCRIBER = "no_subscriber"
     SEVERAL_CLOCKS = "several_clocks"
     """Several sources publish one clock, so that its time jumps back and forth."""
+    SEVERAL_PUBLISHERS = "several_publishers"
+    """Several drivers publish what moves a robot, which follows all of them. A note, and no fault."""
     SILENT = "silent"
     """Nothing comes from the other side, and this side does not know why."""
     NO_MESSAGE = "no_message"
@@ -174,6 +176,8 @@ def clocks_differ(peer: str, offset: float | None, uncertainty: float | None) ->
 
 _DETAILS_UNKNOWN = frozenset({Cause.SILENT, Cause.NO_MESSAGE, Cause.NO_CALL})
 """Causes that give way to what the other side knows."""
+_NOTES = frozenset({Cause.NONE, Cause.THROTTLED, Cause.SEVERAL_PUBLISHERS})
+"""Causes that explain no silence."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -230,7 +234,7 @@ def worse(sender: Verdict, receiver: Verdict) -> tuple[Verdict, bool]:
     else:
         from_sender = sender.state.rank <= receiver.state.rank
     chosen, other = (sender, receiver) if from_sender else (receiver, sender)
-    if chosen.cause in _DETAILS_UNKNOWN and other.cause not in (*_DETAILS_UNKNOWN, Cause.NONE, Cause.THROTTLED):
+    if chosen.cause in _DETAILS_UNKNOWN and other.cause not in (*_DETAILS_UNKNOWN, *_NOTES):
         explained = (chosen.state, other.state) == (State.STALE, State.STOPPED)
         state = other.state if explained else chosen.state
         return replace(other, state=state), not from_sender

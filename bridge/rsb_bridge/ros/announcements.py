@@ -10,7 +10,7 @@ import contextlib
 import re
 import threading
 from collections import Counter, OrderedDict, defaultdict
-from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Final, Literal, NamedTuple
 
 import msgspec
 from msgspec import Meta
@@ -96,14 +96,27 @@ class Origin(NamedTuple):
     alive: bool = False
 
 
-class _Own(NamedTuple):
-    """A publisher of ours, or a service that we offer."""
+BY_HAND: Final = ("by hand",)
+"""The link of publishers of operators' messages. No link has such a name."""
+
+
+def _always() -> bool:
+    return True
+
+
+class Own(NamedTuple):
+    """A publisher of ours, or a service that we offer.
+
+    Attributes:
+        crosses: returns whether messages of its link may come now, which depends on who has armed it.
+    """
 
     name: str
     link: Hashable
     endpoint: Endpoint
     origin: Origin
     entry: bytes
+    crosses: Callable[[], bool] = _always
 
     @property
     def size(self) -> int:
@@ -125,7 +138,9 @@ class OwnAnnouncement:
         publishers, services = b",".join(self.publishers.entries()), b",".join(self.services.entries())
         return b'{"version":1,"publishers":[%s],"services":[%s]}' % (publishers, services)
 
-    def put_publisher(self, topic: str, link: Hashable, endpoint: Endpoint, origin: Origin) -> bool:
+    def put_publisher(
+        self, topic: str, link: Hashable, endpoint: Endpoint, origin: Origin, crosses: Callable[[], bool] = _always
+    ) -> bool:
         """Add a publisher of ours or change its origin; return whether the announcement changed.
 
         A publisher of our own messages is not announced: unannounced publishers belong to no bridge (PROTOCOL.md, 5).
@@ -134,7 +149,7 @@ class OwnAnnouncement:
             RosError: the announcement is full.
         """
         entry = _encode(PublisherEntry(topic, endpoint.gid.hex(), *origin)) if origin.via else b""
-        return self._put(self.publishers, _Own(topic, link, endpoint, origin, entry))
+        return self._put(self.publishers, Own(topic, link, endpoint, origin, entry, crosses))
 
     def put_service(self, service: str, link: Hashable, endpoint: Endpoint, via: Via) -> bool:
         """Add a service that we offer or change its origin; return whether the announcement changed.
@@ -142,9 +157,9 @@ class OwnAnnouncement:
         Raises:
             RosError: the announcement is full.
         """
-        return self._put(self.services, _Own(service, link, endpoint, Origin(via), _encode(ServiceEntry(service, via))))
+        return self._put(self.services, Own(service, link, endpoint, Origin(via), _encode(ServiceEntry(service, via))))
 
-    def _put(self, table: _Table, own: _Own) -> bool:
+    def _put(self, table: _Table, own: Own) -> bool:
         before = table.by_gid.get(own.endpoint.gid)
         more = own.size - (before.size if before else 0)
         if self._sizes[own.link] + more > _A_LINK or self.size + more > LONGEST - _FRAME:
@@ -178,16 +193,16 @@ class _Table:
     """Our publishers, or our services, by id and by name."""
 
     def __init__(self) -> None:
-        self.by_gid: dict[bytes, _Own] = {}
-        self._by_name: defaultdict[str, dict[bytes, _Own]] = defaultdict(dict)
+        self.by_gid: dict[bytes, Own] = {}
+        self._by_name: defaultdict[str, dict[bytes, Own]] = defaultdict(dict)
 
     def entries(self) -> list[bytes]:
         return [own.entry for own in self.by_gid.values() if own.entry]
 
-    def put(self, own: _Own) -> None:
+    def put(self, own: Own) -> None:
         self.by_gid[own.endpoint.gid] = self._by_name[own.name][own.endpoint.gid] = own
 
-    def pop(self, gid: bytes) -> _Own | None:
+    def pop(self, gid: bytes) -> Own | None:
         own = self.by_gid.pop(gid, None)
         if own is not None:
             del self._by_name[own.name][gid]
@@ -197,10 +212,6 @@ class _Table:
 
     def of(self, name: str, besides: Hashable) -> list[Endpoint]:
         return [own.endpoint for own in self._by_name.get(name, {}).values() if own.link != besides]
-
-    def links_of(self, name: str, besides: Hashable) -> set[Hashable]:
-        own = self._by_name.get(name, {}).values()
-        return {each.link for each in own if each.origin.live and each.link != besides}
 
 
 _decode = msgspec.json.Decoder(Announcement).decode
@@ -266,7 +277,7 @@ class Announcements:
         bridges: the names of the domain's bridge nodes, our own first.
         changed: has the routes check for loops again.
         own_publishers: returns our publishers on a topic, without the given link's.
-        publishing_links: returns the links whose messages our publishers on a topic publish, without the given one.
+        own_of: returns our publisher of an id, or None for others'.
         own_servers: returns our servers of a service, without the given link's.
     """
 
@@ -281,7 +292,7 @@ class Announcements:
         self._subscription: LastingSubscription | None = None
         self._own = OwnAnnouncement()
         self.own_publishers = self._own.publishers.of
-        self.publishing_links = self._own.publishers.links_of
+        self.own_of = self._own.publishers.by_gid.get
         self.own_servers = self._own.services.of
         self._offers = 0
         self._published = b""
@@ -339,16 +350,19 @@ class Announcements:
 
     # --- our own
 
-    def announce(self, topic: str, link: Hashable, endpoint: Endpoint, origin: Origin) -> None:
+    def announce(
+        self, topic: str, link: Hashable, endpoint: Endpoint, origin: Origin, crosses: Callable[[], bool] = _always
+    ) -> None:
         """Announce a publisher of ours, or its new origin.
 
         Args:
-            link: the link whose messages it publishes.
+            link: the link whose messages it publishes, or `BY_HAND`.
+            crosses: returns whether these may come now.
 
         Raises:
             RosError: the announcement is full.
         """
-        if self._own.put_publisher(topic, link, endpoint, origin):
+        if self._own.put_publisher(topic, link, endpoint, origin, crosses):
             self._say_soon()
 
     def offer(self, service: str, link: Hashable, type_name: str, type_hash: str, via: Via) -> bytes:

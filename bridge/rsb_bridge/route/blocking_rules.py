@@ -38,6 +38,7 @@ _BETWEEN_LOSSES = frozenset(
     {
         (State.OK, Cause.NONE),
         (State.OK, Cause.THROTTLED),
+        (State.OK, Cause.SEVERAL_PUBLISHERS),
         (State.WAITING, Cause.NO_MESSAGE),
         (State.WAITING, Cause.PUBLISHER_SILENT),
     }

@@ -29,7 +29,7 @@ _SAME_ON_BOTH = frozenset(
 _ENOUGH_SAID_HERE = frozenset(
     {
         Cause.NONE, Cause.NO_MESSAGE, Cause.SILENT, Cause.THROTTLED, Cause.NO_CALL, Cause.UNANSWERED, Cause.CALLS_WAIT,
-        Cause.CALLS_REFUSED,
+        Cause.CALLS_REFUSED, Cause.SEVERAL_PUBLISHERS,
     }
 )  # fmt: skip
 """Causes of which the other side knows no more, if it has the same."""
@@ -223,6 +223,9 @@ class Announcer:
             return None
         if verdict.state is State.OK:
             self._heard = True
+            notes = verdict.cause == Cause.SEVERAL_PUBLISHERS
+            if notes and self._logged.state is State.OK:
+                return self._say(Level.INFO, EventCode.ROUTE_SEVERAL_PUBLISHERS, verdict, now)
             logged, self._logged, self._logged_as = self._logged, FINE, None
             if logged.state is State.OK:
                 return None
@@ -253,4 +256,5 @@ class Announcer:
         if len(self._logged_at) >= _MOST_LOGGED:  # a peer may make up causes
             self._logged_at.clear()
         self._logged_at[what] = now
-        return StateEvent(level, code, f"{verdict.state.upper()}: {verdict.said(now)}", verdict.cause)
+        state = "" if verdict.state is State.OK else f"{verdict.state.upper()}: "
+        return StateEvent(level, code, f"{state}{verdict.said(now)}", verdict.cause)

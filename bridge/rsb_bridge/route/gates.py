@@ -12,6 +12,7 @@ These are no gates:
   around it would make the way of a received message 8 % longer (of 16 that come together, 0.49 µs each).
 - `rate_limit.LatestLater`, the rate limit of a latched topic: it sends the newest message later instead of dropping it.
 - `rate_limit.LastLater`, which does so with the last message before a silence, of a topic that moves a robot.
+- `driver_sieve`, which only counts, after the loop filter: it is on for what may move a robot.
 - a full queue and a lost link: no rule keeps these messages back.
 - pause, arming and loops of a message that `LastLater` sends: `sending.OutgoingPath` asks them once more.
 - a message with a lease's number on a route that needs no arming: `incoming_path.IncomingPath` drops it when it
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.ros_interface import RawMessage, Request
     from rsb_bridge.route.age import MessageAge
     from rsb_bridge.route.arming import Arming
+    from rsb_bridge.route.drivers import Drivers
     from rsb_bridge.route.history_depth import Sample
     from rsb_bridge.route.ledger import RouteLedger
     from rsb_bridge.route.lifecycle import PauseState
@@ -237,13 +239,23 @@ def loop_sieve(loops: LoopFilter, route: Route, ledger: RouteLedger) -> Sieve[Ra
     return sieve
 
 
+def driver_sieve(drivers: Drivers) -> Sieve[RawMessage]:
+    """Pass everything, and count the messages of each driver."""
+
+    def sieve(batch: Sequence[RawMessage]) -> Sequence[RawMessage]:
+        drivers.count(batch)
+        return batch
+
+    return sieve
+
+
 def throttle_sieve(throttle: Throttle, ledger: RouteLedger, flow: TopicFlow, later: LastLater) -> Sieve[RawMessage]:
     """Pass as many of a volatile topic's messages a second as both sides want."""
 
     def sieve(batch: Sequence[RawMessage]) -> Sequence[RawMessage]:
         passed = [message for message in batch if throttle.passes(message.stamp)]
         left_out = len(batch) - len(passed)
-        if flow.may_move or flow.route.arming.required:
+        if flow.carried.may_move or flow.route.arming.required:
             last = None if passed and passed[-1] is batch[-1] else batch[-1]
             left_out += later.follow(last) - (last is not None)
         ledger.throttled += left_out
@@ -323,9 +335,10 @@ def sending_gates(
     age, ages = route.age, route.age.is_on
     # A latched topic's messages wait in its histories; their age is asked when they leave these (`kept_age_sieve`).
     fresh = (fresh_sieve(age, ledger),) if ages and not flow.is_latched else ()
+    driven = (driver_sieve(flow.drivers),) if flow.drivers.are_watched else ()
     return SendingGates(
         batch=armed_gates(route),
-        arriving=(*fresh, loop_sieve(loops, route, ledger)),
+        arriving=(*fresh, loop_sieve(loops, route, ledger), *driven),
         sourced=(throttle_sieve(throttle, ledger, flow, later),) if throttle.is_on else (),
         kept=(*((kept_age_sieve(age, ledger),) if ages else ()), kept_loop_sieve(loops, ledger)),
         packed=(fitting,),

@@ -37,12 +37,14 @@ class Carried(Generic[ChannelT]):
         type_name, type_hash: of the messages, empty while unknown.
         endpoints: others' publishers of the topic on the sending side, their subscriptions on the receiving side; of
             calls, the clients and the servers.
+        may_move: whether the messages may move a robot (`rsb_bridge.model.motion`).
         channel: of the present opening, or None until it has one.
     """
 
     def __init__(self) -> None:
         self.type_name = self.type_hash = ""
         self.endpoints: Sequence[Endpoint] = ()
+        self.may_move = False
         self.channel: ChannelT | None = None
 
     def end(self, reason: str) -> None:

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 from rsb_bridge.cdr.known_types import CLOCK
 from rsb_bridge.model.qos import match_subscriptions
 from rsb_bridge.model.verdict import Cause
-from rsb_bridge.ros.ros_graph import agreed_type
+from rsb_bridge.ros.announcements import BY_HAND
+from rsb_bridge.ros.ros_graph import agreed_type, type_hint
 from rsb_bridge.route.topic_verdict import audience
 
 if TYPE_CHECKING:
@@ -34,7 +35,8 @@ class Listeners:
         subscriber_qos: that all of them request together, or None without any.
         others: other publishers of the topic here, if a subscription does not match.
         clocks: if it is a clock, the nodes and links that publish it here besides this link.
-        hint: the type and its hash that they have, each empty if unknown.
+        further: if its messages may move a robot, the publishers of the topic here besides this link's.
+        hint: the type and its hash that they have, each empty if unknown: a sender without publishers takes it.
     """
 
     def __init__(self, flow: TopicFlow, outputs: SourcePublishers) -> None:
@@ -43,15 +45,28 @@ class Listeners:
         self.subscriber_qos: Qos | None = None
         self.others: Collection[Endpoint] = ()
         self.clocks: frozenset[str] = frozenset()
+        self.further: tuple[Endpoint, ...] = ()
         self.hint = ("", "")
         self._unmatched_since: float | None = None  # s, since when DDS lists subscriptions and matches none
         self._asked_at = float("-inf")
+
+    def _look_for_drivers(self) -> None:
+        drivers = self._flow.drivers
+        # Only then: it searches the graph.
+        self.further = tuple(further_publishers(self._route)) if drivers.are_watched else ()
+        if self.further or drivers.here:
+            drivers.look(self.further)
 
     @property
     def unmatched(self) -> bool:
         """Whether DDS has listed subscriptions for a while and matches none."""
         since = self._unmatched_since
         return since is not None and self._route.context.now() > since + _MATCHED_WITHIN
+
+    def look_without_publisher(self) -> None:
+        """Find the type that the subscriptions have, while nothing is published here, and who else drives."""
+        self.hint = type_hint(self._route.ends, self._route.remote_topic)
+        self._look_for_drivers()
 
     def look(self) -> None:
         """Find the subscriptions of what is published here, unless they are the same ones, most likely."""
@@ -70,6 +85,7 @@ class Listeners:
         # The sender's publishers may have left, and an operator there may publish by hand.
         self.hint = agreed_type(endpoints)
         self.subscriber_qos = match_subscriptions([each.qos for each in endpoints]) if endpoints else None
+        self._look_for_drivers()
         if self.offered is None:
             return
         flow.audience = audience(flow.carried.type_name, self.offered, endpoints, matched)
@@ -81,6 +97,17 @@ class Listeners:
 
 def _further_clocks(route: Route) -> frozenset[str]:
     """Return the nodes and the links that publish a route's clock here besides it."""
-    nodes = {each.node for each in route.ends.publishers(route.remote_topic) if each.type_name == CLOCK}
-    links = route.context.announcements.publishing_links(route.remote_topic, route.peer.name)
-    return frozenset(nodes | {f"link {each}" for each in links})
+    found = set()
+    for each in further_publishers(route):
+        own = route.context.announcements.own_of(each.gid)
+        if own is None or own.link == BY_HAND:
+            found |= {each.node} if each.type_name == CLOCK else set()
+        elif own.origin.via and own.origin.live:
+            found.add(f"link {own.link}")
+    return frozenset(found)
+
+
+def further_publishers(route: Route) -> list[Endpoint]:
+    """Return the publishers of a route's topic here besides its link's."""
+    own = route.context.announcements.own_publishers(route.remote_topic, besides=route.peer.name)
+    return [*route.ends.publishers(route.remote_topic), *own]

@@ -15,7 +15,6 @@ from rsb_bridge.model.reason import Reason
 from rsb_bridge.model.snapshot import Level, State
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.verdict import Cause
-from rsb_bridge.ros.ros_graph import type_hint
 from rsb_bridge.ros.ros_interface import RosError, TopicSpec
 from rsb_bridge.route.arming import without_history
 from rsb_bridge.route.combined_verdict import lasting, record_of
@@ -114,6 +113,7 @@ class Receiver:
         self.path.unpacker.clear()
         self._alive = False
         self.outputs.set_alive(False)
+        self.flow.drivers.told(())
 
     def described(self, description: Describe) -> None:
         """Make the publishers for the messages that the sender describes, or refuse the route."""
@@ -141,7 +141,7 @@ class Receiver:
             self.outputs.close()  # a refused topic must not seem to have a publisher
             self._refuse_type(str(error))
             return
-        self.carried.type_name, self.carried.type_hash, self.flow.qos = type_and_qos
+        self.flow.knows(*type_and_qos)
         self.listeners.offered = spec.qos
         self.route.settle_age()
         self.check.begin(description.type)
@@ -232,8 +232,7 @@ class Receiver:
     def proceed(self) -> None:
         """Open the channel once there is a publisher, and look for subscribers."""
         if not self.outputs:
-            # A sender without publishers takes the type of the subscriptions here.
-            self.listeners.hint = type_hint(self.route.ends, self.route.remote_topic)
+            self.listeners.look_without_publisher()
             return
         if self.route.life.accepted and self.carried.channel is None:
             # While it is paused, too: the other side may not know yet, and frames without a channel hold up all others.
@@ -252,6 +251,8 @@ class Receiver:
 
     def measure(self, now: float, crossing: Crossing, *, learns: bool) -> None:
         self.flow.latency.tick()
+        if self.listeners.further:  # whether other links' messages may come changes without the graph
+            self.flow.drivers.look(self.listeners.further)
         self._judge_lateness(now, flows=crossing.flows, learns=learns)
         self.route.age.update(self.path.received, now)
         if self.route.link_full is not None:
@@ -287,7 +288,8 @@ class Receiver:
     def signs(self) -> Signs:
         listeners = self.listeners
         audience, report = self.flow.audience, self.facts.report
-        return self.flow.silence.watch.after, report, audience, listeners.others, listeners.clocks
+        drivers = self.flow.drivers.here
+        return self.flow.silence.watch.after, report, audience, listeners.others, listeners.clocks, drivers
 
     def next_change(self, now: float, crossing: Crossing) -> float:
         if self.flow.lateness.since is not None or self.flow.left_out.is_due or self.facts.sender_ledger.open:
@@ -323,6 +325,7 @@ class Receiver:
         if self.facts.report_now is None:
             self.route.judge_again()
         self.facts.report = self.facts.report_now = report
+        self.flow.drivers.told(report.drivers)
         self.route.wake()
         self.route.judged.receive(report.verdict, self.route.context.now())
         peer = self.route.judged.peer
@@ -376,4 +379,5 @@ class Receiver:
             came_before=self.facts.came_before,
             malformed=self.path.malformed,
             velocity=self.facts.velocity if self.route.arming.required else None,
+            drivers=self.flow.drivers.records,
         )

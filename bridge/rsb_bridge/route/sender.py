@@ -183,8 +183,7 @@ class Sender:
 
     def _describe(self, described: Describe) -> None:
         self._described = described
-        self.carried.type_name, self.carried.type_hash = described.type, described.type_hash
-        self.flow.qos = described.qos
+        self.flow.knows(described.type, described.type_hash, described.qos)
         self.counts.lossy = self.route.lossy
         self.route.settle_age()
         self.path.compose()  # what is latched, as its QoS says now, is asked its age later
@@ -278,6 +277,7 @@ class Sender:
         self.loop_filter.clear()
         self.counts.closed()
         self.facts.forget()
+        self.flow.drivers.told(())
         self.flow.audience = NOBODY
 
     # --- messages
@@ -285,7 +285,8 @@ class Sender:
     def signs(self) -> Signs:
         subscription = self.subscription
         lost = subscription.numbers.counts[Untaken.LOST]
-        return self.flow.silence.watch.after, self.facts.report, self.resolver.unresolved, subscription.failure, lost
+        drivers, report = self.flow.drivers.here, self.facts.report
+        return self.flow.silence.watch.after, report, self.resolver.unresolved, subscription.failure, lost, drivers
 
     def next_change(self, now: float, crossing: Crossing) -> float:
         if self.flow.lateness.since is not None or self.flow.left_out.is_due or not self.path.traffic.still:
@@ -329,6 +330,9 @@ class Sender:
             awaited=awaited,
         )
         self.flow.latency.tick()
+        if self.carried.may_move or self.route.arming.required:
+            self.flow.drivers.tick(now)
+            self.flow.drivers.look(self.carried.endpoints, counted=self.subscription.receives)
         self._judge_lateness(now, flows=flows, learns=learns)
         self.route.age.update(self.counts.offered, now)
         if self.route.link_full is not None:
@@ -401,6 +405,7 @@ class Sender:
             text = f"malformed {whose}: {report.malformed}: see the node here that sent it"
             self.route.notices.message_error(EventCode.ROUTE_MALFORMED, text)
         self.facts.report = report
+        self.flow.drivers.told(report.drivers)
         self.route.wake()
         deaf = tuple(Deaf(each.node, each.cause, each.reason) for each in report.deaf)
         self.flow.audience = Audience(max(0, report.subscribers), report.nodes, deaf)
@@ -443,6 +448,7 @@ class Sender:
             subscribed=self.subscription.receives,
             verdict=record_of(self.route.verdict()),
             nodes=node_names(self.carried.endpoints),
+            drivers=self.flow.drivers.records,
         )
         if report == self._last_report:
             return None

@@ -339,7 +339,10 @@ class _SourcePublisher:
         if not self._route.purpose.in_graph:
             return  # no other bridge can take its messages
         endpoint = Endpoint(f"/{self._context.ros.node_name}", *self._spec[1:], gid)
-        self._context.announcements.announce(self._spec.topic, self._route.peer.name, endpoint, self._origin)
+        route = self._route
+        self._context.announcements.announce(
+            self._spec.topic, route.peer.name, endpoint, self._origin, lambda: route.crossing.flows
+        )
 
     def _closed(self, gid: bytes) -> None:
         self._publishers.pop(gid, None)

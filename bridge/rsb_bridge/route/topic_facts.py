@@ -86,7 +86,7 @@ class TopicFacts(ABC):
 
     @property
     def may_not_be_late(self) -> bool:
-        return self.flow.may_move and (self.route.proposal.keep is None or self.route.arming.required)
+        return self.carried.may_move and (self.route.proposal.keep is None or self.route.arming.required)
 
     @property
     def learns(self) -> bool:
@@ -137,4 +137,5 @@ class TopicFacts(ABC):
             publishers=self.publisher_nodes,
             subscribers=flow.audience.subscribers,
             audience=flow.audience,
+            drivers=flow.drivers.all if flow.drivers.here or flow.drivers.there else (),
         )

@@ -12,6 +12,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.motion import may_move
 from rsb_bridge.model.snapshot import Level, State
 from rsb_bridge.model.verdict import Cause
+from rsb_bridge.route.drivers import Drivers
 from rsb_bridge.route.idling import POLLED_EVERY
 from rsb_bridge.route.lateness import LateWatch
 from rsb_bridge.route.left_out import LeftOut
@@ -168,6 +169,7 @@ class TopicFlow:
         carried: of its half.
         qos: of the bridge's endpoints on both sides, or None if unknown.
         audience: the final subscriptions, as far as this half knows.
+        drivers: the publishers of what moves a robot, on both sides.
         peek_slot: takes the next message for operators who look at the topic.
         lateness: watches for messages that take too long.
         left_out: tells of commands that were not published, as they would have been late.
@@ -178,8 +180,11 @@ class TopicFlow:
     def __init__(self, route: Route, carried: Carried[Any]) -> None:
         self.route, self.carried = route, carried
         context = route.context
-        self.qos: Qos | None = None
+        self.qos: Qos | None
+        self.knows("", "", None)
         self.audience = NOBODY
+        self.drivers = Drivers(route, carried)
+        route.rested.append(self.drivers.rested)
         self.latency = LatencyMeter(_LATENCY_TICKS)
         self.silence = SilenceWatch(self.route.log, context.now())
         self.lateness = LateWatch()
@@ -237,11 +242,11 @@ class TopicFlow:
         """Whether it is latched, so that no message is due after the first."""
         return self.qos is not None and self.qos.latched
 
-    @property
-    def may_move(self) -> bool:
-        """Whether its messages may move a robot (`rsb_bridge.model.motion`)."""
-        route = self.route
-        return route.purpose.in_graph and may_move(self.carried.type_name, route.topic, route.remote_topic)
+    def knows(self, type_name: str, type_hash: str, qos: Qos | None) -> None:
+        """Take the type and the QoS of the messages, each empty or None while unknown."""
+        carried, route = self.carried, self.route
+        carried.type_name, carried.type_hash, self.qos = type_name, type_hash, qos
+        carried.may_move = route.purpose.in_graph and may_move(type_name, route.topic, route.remote_topic)
 
     @property
     def is_whole(self) -> bool:

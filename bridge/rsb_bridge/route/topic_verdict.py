@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable
 
     from rsb_bridge.model.qos import Qos
-    from rsb_bridge.model.snapshot import Stage
+    from rsb_bridge.model.snapshot import Driver, Stage
     from rsb_bridge.ros.ros_interface import Endpoint
     from rsb_bridge.route.blocking_rules import Rules
     from rsb_bridge.route.catching_up import Backlog
@@ -239,6 +239,22 @@ def _expired(half: JudgedTopic, crossing: Crossing) -> Verdict | None:
 def _late(half: JudgedTopic, crossing: Crossing) -> Verdict | None:
     late = half.late() if crossing.flows else None
     return None if late is None else late_verdict(late)
+
+
+def _several(half: JudgedTopic, _: Crossing) -> Verdict | None:
+    drivers = half.flow.drivers
+    if not (drivers.here or drivers.there) or not (several := drivers.several):
+        return None
+    text = f"{driver_names(several)} publish it: a robot follows all; stop all but one"
+    return Verdict(State.OK, Cause.SEVERAL_PUBLISHERS, text)
+
+
+def driver_names(drivers: Collection[Driver]) -> str:
+    """Name drivers, and the side of each if they are on both: ``/nav here and /joystick there``."""
+    both = len({each.here for each in drivers}) > 1
+    where = {True: " here" if both else "", False: " there"}
+    names = ("messages by hand" if each.by_hand else each.name or "a node that is not known yet" for each in drivers)
+    return join_first([name + where[each.here] for name, each in zip(names, drivers, strict=True)], _NAMED)
 
 
 # --- the sending side
@@ -524,6 +540,7 @@ OF_SENDER: Rules[SendingTopic] = (
     _late,
     _slow,
     _catching_up,
+    _several,
     _unsent,
 )
-OF_RECEIVER: Rules[ReceivingTopic] = (_nothing_comes, _expired, _late, _clocks, _subscribers, _unreceived)
+OF_RECEIVER: Rules[ReceivingTopic] = (_nothing_comes, _expired, _late, _clocks, _subscribers, _several, _unreceived)

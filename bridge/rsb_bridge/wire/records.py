@@ -73,6 +73,17 @@ class VerdictRecord(msgspec.Struct, frozen=True, omit_defaults=True):
     lasting: float = 0.0  # its duration so far, s. It is sent with other news only: the receiver counts on
 
 
+class DriverRecord(msgspec.Struct, frozen=True, omit_defaults=True):
+    """A publisher of what moves a robot (`rsb_bridge.model.snapshot.Driver`)."""
+
+    name: Name = ""
+    rate: float | None = None  # Hz that the sender takes of it, or None if nobody counts
+    by_hand: bool = False
+
+
+Drivers: TypeAlias = Annotated[tuple[DriverRecord, ...], Meta(max_length=16)]
+
+
 class SentReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """The sender's ledger of a route (`rsb_bridge.model.snapshot.Ledger`)."""
 
@@ -95,6 +106,7 @@ class SentReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     subscribed: bool = False  # whether the sender takes messages from ROS
     verdict: VerdictRecord | None = None
     nodes: NodeNames = ()  # some of the nodes that publish the topic
+    drivers: Drivers = ()  # if it moves a robot, its publishers
 
     def __post_init__(self) -> None:
         check_qos(self.publisher_qos)
@@ -138,6 +150,7 @@ class ReceivedReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tr
     malformed: Reason = ""  # the field of the last malformed message, and what is wrong with it, or empty
     velocity: tuple[float, float] | None = None
     """The velocity that this side has published last on an armed topic: forward in m/s, and turn in rad/s, or None."""
+    drivers: Drivers = ()  # if the topic moves a robot, its publishers beside this link
 
     def __post_init__(self) -> None:
         check_qos(self.subscriber_qos)

@@ -7,6 +7,7 @@ import math
 import os
 import sys
 import time
+from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from rsb_bridge.api import EngineError
@@ -25,6 +26,7 @@ from rsb_console.command.target import (
     failed,
     result,
 )
+from rsb_console.notation import formats
 from rsb_console.terminal.pulse import ASKED_EVERY, TypedKeys
 
 if TYPE_CHECKING:
@@ -76,8 +78,10 @@ def _wait_alive(engine: RemoteEngine, arming: Future[None]) -> None:
 def _say_armed(arguments: Namespace, route: RouteSnapshot) -> None:
     deadman = route.arming.deadman if route.arming is not None else 0.0
     keys = f"press Enter within {deadman:g} s, again and again; " if deadman else ""
-    text = f"{route.topic} of {route.link} is ARMED: {keys}Ctrl-C disarms it"
-    done(arguments, text, armed=True, topic=route.topic, link=route.link)
+    now = f". {escape_text(formats.drivers_now(route))}" if route.calls is None else ""
+    text = f"{route.topic} of {route.link} is ARMED: {keys}Ctrl-C disarms it{now}"
+    drivers = [asdict(each) for each in route.drivers]
+    done(arguments, text, armed=True, topic=route.topic, link=route.link, drivers=drivers)
     sys.stdout.flush()
 
 

@@ -45,7 +45,7 @@ _OF_LINK = figures(Of.LINK, "state", "cause", "reason", "since", "session_ends")
 _MORE_OF_LINK = figures(Of.LINK, "peer", "rtt", "loss", "fingerprint", "next_fingerprint", "acknowledged")
 _OF_ROUTE = figures(
     Of.ROUTE, "topic", "kind", "link", "pattern", "outgoing", "state", "cause", "reason", "from_peer", "since",
-    "publishers", "subscribers", "max_rate", "arming", "acknowledged", "missing", "rate", "bytes_per_second",
+    "publishers", "drivers", "subscribers", "max_rate", "arming", "acknowledged", "missing", "rate", "bytes_per_second",
     "latency_p50", "latency_p99",
 )  # fmt: skip
 _OF_CALLS = figures(Of.ROUTE, "provider", "calls")

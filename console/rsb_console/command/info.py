@@ -151,6 +151,8 @@ def _ends(route: RouteSnapshot) -> Iterator[str]:
         yield f"{name}: {', '.join(nodes) or ('none known' if qos is None else 'nodes not known')}"
         if qos is not None:
             yield f"  {verb} together: {' '.join(formats.qos_parts(qos, depth_known=False))}"
+    if route.drivers:
+        yield f"Drivers: {', '.join(map(formats.driver, route.drivers))}"
     if route.qos is not None:
         yield f"QoS of the bridge: {' '.join(formats.qos_parts(route.qos))}"
 

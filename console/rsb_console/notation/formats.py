@@ -21,12 +21,13 @@ if TYPE_CHECKING:
     from rsb_bridge.model.calls import CallsSnapshot
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.session import Kind, Topic
-    from rsb_bridge.model.snapshot import Acknowledgement, LinkSnapshot, PatternSnapshot, Snapshot, State
+    from rsb_bridge.model.snapshot import Acknowledgement, Driver, LinkSnapshot, PatternSnapshot, Snapshot, State
 
 KIND_NOUN: dict[Kind, str] = {"topic": "topic", "service": "service", "action": "action", "parameters": "parameters"}
 KIND_SHORT: dict[Kind, str] = {"topic": "msg", "service": "srv", "action": "act", "parameters": "par"}
 """Kinds as they fit into a narrow column; the first three are ROS's own names for the types."""
 _DAY = 86_400.0
+_DRIVERS_NAMED = 4  # in a question. A round figure
 _NODES_NAMED = 3  # nodes in a report; the others are counted. A round figure
 
 
@@ -35,6 +36,17 @@ class AnswerText(Wording):
 
     ANSWERED = "{link}: answered by {nodes} {where}, after {seconds:.3g} s"
     THERE, HERE = "there", "on this side"
+
+
+class DriverText(Wording):
+    """Texts about those who publish what moves a robot."""
+
+    BY_HAND, UNKNOWN = "messages by hand", "a node that is not known yet"
+    RATE = "{who} ({rate} Hz)"
+    THERE = "{who} on the other side"
+    NOBODY = "Nobody publishes it now."
+    ONE = "{who} publishes it now: the robot follows at once."
+    SEVERAL = "{who} publish it now: the robot follows all of them at once."
 
 
 def thousands(count: int) -> str:
@@ -217,6 +229,31 @@ def qos_parts(qos: Qos, *, depth_known: bool = True) -> list[str]:
     if qos.liveliness_lease_duration:
         parts.append(f"lease {span(qos.liveliness_lease_duration)}")
     return [f"{each}," for each in parts[:-1]] + parts[-1:]
+
+
+def driver(each: Driver) -> str:
+    """Name a driver, with its side and its rate while it sends: ``/joystick (10 Hz)``."""
+    who = driver_name(each)
+    who = DriverText.RATE(who=who, rate=driver_rate(each.rate)) if each.rate else who
+    return who if each.here else DriverText.THERE(who=who)
+
+
+def driver_name(each: Driver) -> str:
+    return DriverText.BY_HAND() if each.by_hand else each.name or DriverText.UNKNOWN()
+
+
+def driver_rate(rate: float) -> str:
+    """Format a driver's rate in Hz, without the unit, in so few digits that it stays the same: ``10``, ``0.5``."""
+    return f"{rate:.2g}" if rate < 99 else f"{rate:.0f}"
+
+
+def drivers_now(route: RouteSnapshot) -> str:
+    """Return who publishes a topic that moves a robot, in a sentence for the operator who arms it."""
+    # The publisher for messages by hand stays for some seconds after the last one.
+    found = [driver(each) for each in route.drivers if each.rate or not each.by_hand]
+    if not found:
+        return DriverText.NOBODY()
+    return (DriverText.ONE if len(found) == 1 else DriverText.SEVERAL)(who=join_first(found, _DRIVERS_NAMED))
 
 
 def known_type(route: RouteSnapshot) -> str:

@@ -193,9 +193,10 @@ class ArmScreen(ConfirmScreen):
         keys = f", or no key is pressed here for {deadman:g} s" if deadman else ""
         way = f"to {route.remote_topic} on the other side" if route.outgoing else f"from there to {route.topic} here"
         what = "messages" if route.calls is None else "calls"
+        now = f"\n{formats.drivers_now(route)}" if route.calls is None else ""
         means = (
             f"From now on its {what} cross the link of {route.link}, {way}: {route.link} may move.\n"
-            f"It disarms when the link drops, this console ends{keys}."
+            f"It disarms when the link drops, this console ends{keys}.{now}"
         )
         super().__init__(f"Arm {route.topic} of {route.link}?", means, "Arm", Effect.MOVES)
 

@@ -10,6 +10,7 @@ from textual.widgets import Button, Static
 from rsb_bridge.model.by_hand import ASKED_FOR
 from rsb_bridge.model.commands import Effect
 from rsb_bridge.model.wording import Wording
+from rsb_console.notation import formats
 from rsb_console.screens.dialog import ConfirmScreen
 
 if TYPE_CHECKING:
@@ -30,7 +31,8 @@ class HandOverText(Wording):
     MEANS = (
         "{holder} holds it, and drives alone.\n"
         "y asks for it: without an answer it goes over after {seconds:.0f} s, and the robot stops in between.\n"
-        "{takes}A disarms it at once."
+        "{takes}A disarms it at once.\n"
+        "{drivers}"
     )
     ASK, TAKE, DISARM = "Ask", "Take", "Disarm"
     KEYS = "y ask   {take}A disarm   n no"
@@ -58,7 +60,8 @@ class AskHolderScreen(ConfirmScreen):
     def __init__(self, console: Console, route: RouteSnapshot, *, may_take: bool) -> None:
         holder = "" if route.arming is None else route.arming.by
         title, takes = HandOverText.HELD(topic=route.topic), "t takes it at once. " if may_take else ""
-        means = HandOverText.MEANS(holder=holder, seconds=ASKED_FOR, takes=takes)
+        drivers = formats.drivers_now(route)
+        means = HandOverText.MEANS(holder=holder, seconds=ASKED_FOR, takes=takes, drivers=drivers)
         super().__init__(title, means, HandOverText.ASK(), Effect.MOVES)
         self.console, self._key, self._holder = console, route.key, holder
         self.choice = "ask"

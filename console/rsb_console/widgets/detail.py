@@ -323,6 +323,8 @@ def _heading(page: _Page, route: RouteSnapshot, last: str, now: float) -> None:
         page.text(f"when that ends, {end}", "dim")
     if route.limits is not None:
         page.text(f"at most {route.limits} by hand: {', '.join(route.limited_by)}", "dim")
+    if route.drivers:
+        page.text(f"published by {', '.join(map(formats.driver, route.drivers))}", "")
     _fault(page, route, next((stage.detail for stage in route.stages if not stage.done), ""))
 
 

@@ -27,7 +27,7 @@ from rsb_bridge.model.by_hand import smallest_limits
 from rsb_bridge.model.commands import Effect
 from rsb_bridge.model.text import escape_text, join_first
 from rsb_bridge.model.wording import Wording
-from rsb_console.notation.formats import PatternRow, full_type
+from rsb_console.notation.formats import PatternRow, driver_name, driver_rate, full_type
 from rsb_console.screens.dialog import ArmScreen, ConfirmScreen, SideBox
 from rsb_console.screens.main import MainText
 from rsb_console.screens.take_over import AskHolderScreen
@@ -117,6 +117,9 @@ class DriveText(Wording):
     MOVING = "moving {forward:.2f} m/s{turning}"
     TURNING = ", turning {turn:.2f} rad/s"
     RESTS = "rest"
+    ALSO = "{who} also drives, {rate} Hz"
+    BESIDE = "{who} publishes it at {link}, too"
+    BESIDE_HERE = "{who} publishes it here, too"
     SEVERAL = "Drive {count} robots by {topic}?"
     GONE = "it is no longer bridged"
     TYPE_UNKNOWN = "{topic} cannot be driven: its type is unknown; set type: Twist (e)"
@@ -171,6 +174,30 @@ def in_hand(route: RouteSnapshot, snapshot: Snapshot) -> str:
             motion = DriveText.MOVING(forward=forward, turning=turning) if any(velocity) else DriveText.RESTS()
             found.append(DriveText.IN_HAND(link=each.link, motion=motion))
     return join_first(found, _NAMED)
+
+
+def also_driving(route: RouteSnapshot, snapshot: Snapshot, *, holds: bool) -> str:
+    """Return who else moves robots on a route's topic, and how often, or an empty string.
+
+    Args:
+        holds: whether this console holds the topic, so that the messages by hand are its own.
+    """
+    links, routes = moved_by(route, snapshot), snapshot.routes
+    found: dict[str, float] = {}
+    beside: dict[str, None] = {}
+    for each in routes:
+        if each.topic != route.topic or each.outgoing != route.outgoing or each.link not in links:
+            continue
+        holder = "" if each.arming is None else each.arming.by
+        for driver in each.drivers:
+            who = holder or driver_name(driver) if driver.by_hand else driver_name(driver)
+            if driver.rate and not (holds and driver.by_hand and driver.here):
+                found[who] = max(found.get(who, 0.0), driver.rate)
+            elif driver.rate is None and not driver.by_hand and driver.here != route.outgoing:
+                text = DriveText.BESIDE_HERE if driver.here else DriveText.BESIDE
+                beside[text(who=who, link=each.link)] = None
+    also = [DriveText.ALSO(who=who, rate=driver_rate(rate)) for who, rate in sorted(found.items())]
+    return "; ".join([*also, *beside][:_NAMED])
 
 
 def limits_on(route: RouteSnapshot, snapshot: Snapshot) -> tuple[VelocityLimits | None, list[str]]:
@@ -533,7 +560,9 @@ class DriveScreen(GuardedScreen, SideBox[None]):
         first, *others = map(escape_text, texts)
         is_armed = route is not None and route.arming is not None and route.arming.armed and not self._detached
         state = Content.styled(f" {self._state()} ", "$warning bold reverse") if is_armed else Content(self._state())
-        lines = (Content(first), state, *map(Content, (*self._limited(), *others)))
+        also = "" if self._detached else also_driving(self._route, self.console.snapshot(), holds=self._is_holder)
+        driving = (Content.styled(escape_text(also), "$warning"),) if also else ()
+        lines = (Content(first), *driving, state, *map(Content, (*self._limited(), *others)))
         drive = f"hold {_WAYS_SHOWN} to drive" if self._is_relayed() else f"{_WAYS_SHOWN} drive"
         keys = (drive, *_KEYS)
         is_wide = self.size.width >= _WIDE

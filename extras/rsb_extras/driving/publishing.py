@@ -28,7 +28,7 @@ from rsb_bridge.model.qos import Qos, match_publishers, match_subscriptions
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.text import join_first, sanitize_text
 from rsb_bridge.model.wording import Wording
-from rsb_bridge.ros.announcements import Origin
+from rsb_bridge.ros.announcements import BY_HAND, Origin
 from rsb_bridge.ros.ros_interface import Endpoint, RosError, TopicSpec
 from rsb_bridge.route.arming import without_history
 from rsb_bridge.route.crossing import Crossing
@@ -485,7 +485,7 @@ class Publishing(MovingPart):
         try:
             endpoint = Endpoint(f"/{ros.node_name}", *resolved[1:], publisher.gid)
             # As a node's, so that routes take its messages.
-            self._context.announcements.announce(topic, self, endpoint, Origin(()))
+            self._context.announcements.announce(topic, BY_HAND, endpoint, Origin(()))
             await self._found(publisher, resolved, publication.subscriptions)
         # Also if the command is cancelled meanwhile.
         except BaseException:

@@ -4,7 +4,8 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import replace
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 from tests.console.driving import (
@@ -31,7 +32,7 @@ from rsb_bridge.model.audience import Audience, Deaf
 from rsb_bridge.model.by_hand import VelocityLimits
 from rsb_bridge.model.commands import AskHolder, Command
 from rsb_bridge.model.session import Topic
-from rsb_bridge.model.snapshot import ArmingSnapshot, RouteSnapshot, State
+from rsb_bridge.model.snapshot import ArmingSnapshot, Driver, RouteSnapshot, Snapshot, State
 from rsb_console.app import ConsoleApp
 from rsb_console.screens.take_over import HandOverText
 from rsb_console.terminal.pulse import Pulse
@@ -40,6 +41,7 @@ from rsb_extras.driving.drive_screen import (
     TWIST_STAMPED,
     DriveScreen,
     DriveText,
+    also_driving,
     drive_one,
     limits_on,
     velocity,
@@ -452,6 +454,46 @@ async def test_what_the_robot_has_in_hand_is_shown(app: ConsoleApp, pilot: Pilot
     ]:
         put(app, replace(ARMED, arming=replace(ARMED.arming, velocity=given)))
         await shown(pilot, DriveText.IN_HAND, link=ARMED.link, motion=motion)
+
+
+JOYSTICK, HAND = Driver("/joystick", here=True, rate=10.0), Driver("", here=True, rate=5.0, by_hand=True)
+BESIDE = Driver("/nav", here=False)
+JOYSTICK_DRIVES = DriveText.ALSO(who="/joystick", rate="10")
+
+
+@pytest.mark.parametrize(
+    ("drivers", "holds", "text"),
+    [
+        ((), True, ""),
+        ((replace(JOYSTICK, rate=0.0),), True, ""),
+        ((replace(JOYSTICK, rate=None),), True, ""),
+        ((HAND,), True, ""),
+        ((HAND,), False, DriveText.ALSO(who="anna", rate="5")),
+        ((JOYSTICK, HAND), True, JOYSTICK_DRIVES),
+        ((JOYSTICK, BESIDE), True, f"{JOYSTICK_DRIVES}; {DriveText.BESIDE(who='/nav', link='robot1')}"),
+    ],
+)
+def test_who_else_moves_robot(drivers: tuple[Driver, ...], holds: bool, text: str) -> None:
+    snapshot = SimpleNamespace(routes=(replace(ARMED, drivers=drivers),))
+    assert also_driving(ARMED, cast("Snapshot", snapshot), holds=holds) == text
+
+
+def test_on_robots_side_far_drivers_have_rates() -> None:
+    receiving = replace(ARMED, outgoing=False, drivers=(replace(JOYSTICK, here=False), replace(BESIDE, here=True)))
+    snapshot = cast("Snapshot", SimpleNamespace(routes=(receiving,)))
+    beside = DriveText.BESIDE_HERE(who="/nav", link="robot1")
+    assert also_driving(receiving, snapshot, holds=True) == f"{JOYSTICK_DRIVES}; {beside}"
+
+
+@driven(replace(ARMED, drivers=(JOYSTICK,)))
+async def test_box_says_that_joystick_drives(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> None:
+    await shown(pilot, DriveText.NO_KEY)
+    await shown(pilot, DriveText.ALSO, who="/joystick", rate="10")
+    await pressed(pilot, clock, "up")
+    await shown(pilot, f"forward {SPEED:+.2f} m/s")
+    await shown(pilot, DriveText.ALSO, who="/joystick", rate="10")
+    put(app, ARMED)
+    await gone(pilot, JOYSTICK_DRIVES)
 
 
 @driven()
