@@ -174,7 +174,7 @@ def test_too_long_calls_are_refused_by_either_side(
     sender_knows: bool, bridge: Bridge, victim: Victim, caller: RosNode, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if sender_knows:
-        constants.CALL_LIMIT.set(monkeypatch, 1000)
+        constants.SENT_CALL_LIMIT.set(monkeypatch, 1000)
     server, client = bridge.both(Topic(SET, "transmit", kind="service", timeout=20.0))
     short = EIGHT[:4] + bytes(4)
     first = calls_raw(caller, SET, PARAMETERS, short)

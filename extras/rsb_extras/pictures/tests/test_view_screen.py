@@ -10,6 +10,7 @@ import time
 from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
+from random import Random
 from types import SimpleNamespace
 from typing import Any
 from xml.etree import ElementTree
@@ -73,7 +74,8 @@ from rsb_extras.pictures.tile import ON_ROBOT
 from rsb_extras.pictures.view_screen import ViewScreen
 
 SCAN = "/robot2/scan"
-IMAGE = Pixels(2, 2, b"\xff\0\0\0\xff\0\0\0\xff\xff\xff\xff")
+IMAGE = Pixels(300, 200, Random(1).randbytes(3 * 300 * 200))
+"""With so much detail that blocks have characters, and no spaces in colours alone."""
 CHARACTERS = Cells(("the picture",), bytes((1,) * 11), ("", "robot"))
 CURVES = Series(0.0, 0.5, (Curve("x", (1.0, 2.0), (1.0, 3.0), 3.0, 2.0),))
 
@@ -193,7 +195,7 @@ async def test_a_picture_is_asked_for_and_shown(app: ConsoleApp, pilot: Pilot[No
 
 @looking(theme="terminal")
 async def test_without_true_colour_an_image_is_ascii(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    await comes(pilot, viewed(Pixels(3, 2, bytes(9) + b"\xff" * 9)))
+    await comes(pilot, viewed(IMAGE))
     await until(pilot, lambda: has_picture(app), "the picture")
     rows = "".join(drawn(app))
     assert rows.strip()
@@ -657,7 +659,7 @@ async def test_without_full_image_visible_one_is_written(app: ConsoleApp, pilot:
     await notified(pilot, ViewText.WRITTEN)
     file, drawing = sorted(folder.iterdir())
     assert ElementTree.parse(drawing).getroot().tag.endswith("svg")
-    assert struct.unpack(">II", file.read_bytes()[16:24]) == (2, 2)
+    assert struct.unpack(">II", file.read_bytes()[16:24]) == (300, 200)
 
 
 @looking()
