@@ -1,4 +1,4 @@
-"""An action after a gap of its link: what waited comes at once, to nodes that keep ten messages and requests."""
+"""Calls and an action after a gap of their link: what waited comes at once, to nodes that keep ten of each."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import pytest
 pytest.importorskip("test_msgs", reason="no package with an action is installed (ros-jazzy-test-msgs)")
 
 from tests.calls.cutting import FIBONACCI
+from tests.calls.ledgers import balanced, called, settled
 from tests.support import constants
 from tests.support.bridge import route
 from tests.support.fibonacci import ACTION, FibonacciClient, FibonacciServer, id_of
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from tests.support.bridge import Bridge
+    from tests.support.calls import CallNode
     from tests.support.domain import Domain
     from tests.support.relay import Relay
 
@@ -98,6 +100,26 @@ def test_goal_waits_for_a_silent_link(
     eventually(lambda: both_say(State.OK, Cause.NONE))
     server.finish(1)
     assert goal.result() == ("succeeded", [1])
+
+
+def test_answers_of_a_gap_come_whole(
+    relay: Relay, bridge: Bridge, near: CallNode, far: CallNode, service: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """To a client that keeps ten, and calls all the time."""
+    constants.DEAD_AFTER.set(monkeypatch, 60.0)
+    far.serve(service)
+    engines = bridge.both(called(service))
+    near.client(service, depth=10, busy=0.01)
+    with balanced(*engines):
+        near.waits_for(service)
+        near.begin(service, 80, at_once=80, rate=20)
+        eventually(lambda: near.outcome(service).answered > 5)
+        relay.stall(new=True)
+        eventually(lambda: near.outcome(service).asked > 65)
+        relay.stall(False)
+        assert near.settled(service).right
+        for engine in engines:
+            settled(engine, service, asked=80, answered=80)
 
 
 class _Hesitant(FibonacciServer):

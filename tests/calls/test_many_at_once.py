@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import threading
 from typing import TYPE_CHECKING
 
 from tests.calls.ledgers import balanced, called, nothing_left, settled
 from tests.support import constants
+from tests.support.inside import inside
+from tests.support.waiting import eventually
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -55,6 +58,29 @@ def test_burst_to_a_node_that_keeps_ten(
         assert far.served(service) == (60, 0, 0, 0)
         for engine in (client, server):
             settled(engine, service, asked=60, answered=60)
+    nothing_left(*engines)
+
+
+def test_requests_wait_for_a_standing_bridge(bridge: Bridge, near: CallNode, far: CallNode, service: str) -> None:
+    """They wait in its DDS. Responses are never many: a node has at most eight requests that it may not have read."""
+    far.serve(service)
+    engines = _, client = bridge.both(called(service))
+    stands, goes_on = threading.Event(), threading.Event()
+
+    def stand() -> None:
+        stands.set()
+        goes_on.wait(30.0)
+
+    with balanced(*engines):
+        near.waits_for(service)
+        inside(client).context.call(stand)
+        assert stands.wait(30.0)
+        near.begin(service, 200, at_once=200)
+        eventually(lambda: near.outcome(service).asked == 200)
+        goes_on.set()
+        assert near.settled(service).right
+        for engine in engines:
+            settled(engine, service, asked=200, answered=200)
     nothing_left(*engines)
 
 

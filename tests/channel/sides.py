@@ -90,6 +90,7 @@ class Side:
 
     Attributes:
         receipts: messages with receipts that this side has sent.
+        outlives: s for which lost streams may be opened again.
         ahead: s by which the clock of its streams is ahead of the loop's.
         deaf: whether it loses the other side's receipts.
         closed: ids of routes that were open.
@@ -110,6 +111,7 @@ class Side:
         self.book.now = lambda: asyncio.get_running_loop().time() + self.ahead
         self.scheduler = Scheduler(self.book, Window())
         self.reopened = 0
+        self.outlives = 60.0
         self.ids = self
         self.pair = StreamPair(self, Tcp(), 0)
 

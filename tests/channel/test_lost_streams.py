@@ -14,6 +14,7 @@ from tests.support.session_keys import session_keys
 
 from rsb_bridge.channel.data_stream import LARGE
 from rsb_bridge.model.reason import EndCode, Reason
+from rsb_bridge.model.snapshot import State
 from rsb_bridge.wire.framing import DataWriter
 from rsb_bridge.wire.sealing import CipherSuite
 
@@ -233,35 +234,85 @@ async def test_nobody_asks_for_streams_that_no_route_needs() -> None:
         assert not any(side.reopened for side in sides)
 
 
-async def test_streams_lost_repeatedly_are_not_opened_again() -> None:
+async def test_streams_lost_repeatedly_come_later() -> None:
+    """Three times at once, as both sides see the ends of both streams one by one, and then after longer and longer."""
     async with connected(Route(1, outgoing=True)) as sides:
-        for _ in range(3):
-            assert not any(side.routes[1].lost for side in sides)
-            stream_of(sides[0], "small").stream.abort("cut")
+        near, far = sides
+        numbers = Numbers(near, 1, 100)
+        for attempts in range(1, 7):
+            numbers.send(1)
+            stream_of(near, "small").stream.abort("cut")
             await until(lambda: all(stream_of(side, "small").over for side in sides))
+            assert near.reopened == min(attempts, 3)
             await reopen(*sides)
-        stream_of(sides[0], "small").stream.abort("cut again")
-        await until(lambda: all(side.routes[1].lost for side in sides))
-        assert [side.reopened for side in sides] == [3, 3]
+        await far.ticks_until(numbers.all_known)
+        assert numbers.arrived == [*range(6)]
+        before = near.reopened
+        stream_of(near, "small").stream.abort("cut")
+        await until(lambda: near.pair.lacks()[0])
+        near.tick()
+        assert near.reopened == before
+        near.ahead += 10.0
+        near.tick()
+        assert near.reopened == before + 1
+        assert not any(side.routes[1].lost for side in sides)
+
+
+@pytest.mark.parametrize("names", [("large", "small"), ("small", "large")])
+@pytest.mark.parametrize("reopens", [False, True])
+async def test_both_lost_with_messages_in_transit(
+    names: tuple[str, str], reopens: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nothing got through before, for longer than a stream stalls: it says nothing about the next ones."""
+    STREAM_STALLED_AFTER.set(monkeypatch, 1.0)
+    async with connected(Route(1, outgoing=True), Route(2, outgoing=True)) as (near, far):
+        small, large = Numbers(near, 1, 100), Numbers(near, 2, LARGE)
+        for _ in range(3):
+            for each in (small, large):
+                each.send(2)
+                await far.ticks_until(each.all_known)
+            await far.acknowledges_all()
+            for name in names:
+                if not stream_of(far, name).over:
+                    stream_of(far, name).stream.pause_reading()
+                small.send(5)
+                large.send(5)
+                near.ahead += 3.0
+                for side in (near, far):
+                    side.pair.lose(stream_of(side, name), CUT)
+                if reopens:
+                    await reopen(near, far, names=("small", "large") if name == "small" else ("large",))
+            await reopen(near, far)
+            for each in (small, large):
+                await far.ticks_until(each.all_known)
+                assert each.arrived == [*range(each.sent)]
+        assert not any(route.lost for side in (near, far) for route in side.routes.values())
 
 
 @pytest.mark.parametrize("ever", [False, True])
-async def test_stream_that_delivers_nothing_is_opened_again_once(ever: bool) -> None:
-    """The third would end as the second has: it delivers no more, or nothing has ever got through."""
+async def test_streams_that_deliver_nothing_are_down(ever: bool) -> None:
+    """A route waits as long as the session would, but operators hear of it before."""
     async with connected(Route(1, outgoing=True)) as (near, far):
+        channel = near.routes[1].channel
         if ever:
             near.routes[1].send(b"x")
             await far.acknowledges_all()
-        for times in (1, 2):
+        for seconds, state in ((0.0, None), (9.0, None), (2.0, State.DOWN), (40.0, State.DOWN)):
+            near.ahead += seconds
             stream_of(far, "small").stream.pause_reading()
             near.routes[1].send(b"x")
-            near.ahead += near.scheduler.stalls_after * ever
-            stream_of(near, "small").stream.abort("timed out")
-            await until(lambda: near.routes[1].lost or near.pair.lacks()[0])
-            assert bool(near.routes[1].lost) is (times == 2)
-            if times == 1:
-                await reopen(near, far)
-        assert near.reopened == 1
+            near.pair.tick()
+            verdict = channel.trouble()
+            assert (verdict and verdict.state) is state
+            near.pair.lose(stream_of(near, "small"), CUT)
+            near.pair.tick()
+            assert channel.trouble().state is (state or State.WAITING)
+            await reopen(near, far)
+        assert not near.routes[1].lost
+        near.ahead += 10.0
+        near.routes[1].send(b"x")
+        near.pair.lose(stream_of(near, "small"), CUT)
+        assert near.routes[1].lost == ["cut"]
 
 
 async def test_lost_large_stream_spares_routes_of_small_one() -> None:
@@ -298,9 +349,12 @@ async def test_streams_that_do_not_come_are_given_up() -> None:
     async with connected(Route(1, outgoing=True)) as (near, _):
         stream_of(near, "small").stream.abort("cut")
         await until(lambda: near.reopened)
-        near.tick()
-        assert not near.routes[1].lost
-        near.ahead = 11.0
+        for seconds, state in ((0.0, State.WAITING), (11.0, State.DOWN), (59.0, State.DOWN)):
+            near.ahead = seconds
+            near.tick()
+            assert near.routes[1].channel.trouble().state is state
+            assert not near.routes[1].lost
+        near.ahead = 61.0
         near.tick()
         assert near.routes[1].lost == ["cut"]
 

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from tests.support.bridge import Bridge
     from tests.support.consoles import Consoles
     from tests.support.domain import Domain
-    from tests.support.fibonacci import Goal
     from tests.support.relay import Relay
 
     from rsb_bridge.engine import Engine
@@ -50,9 +49,6 @@ def test_goals_end_while_no_new_one_begins(
         eventually(lambda engine=engine: [goal.state for goal in route(engine, ACTION).goals] == ["executing"] * 2)
     eventually(lambda: not client.ready, what="no goal can be sent")
     eventually(lambda: server.is_heard and feedback_listeners(engines[0]))  # a disarmed route is opened again
-    if how == "disarmed":  # what was asked has ended with the opening
-        for goal in (first, second):
-            eventually(lambda goal=goal: goal.ask() and is_awaited(engines[0], goal))
     server.feedback(7, number=other)
     eventually(lambda: second.feedbacks == [[7]])
     answer = first.cancel()
@@ -151,11 +147,6 @@ def hold(engine: Engine, how: str) -> None:
     """Pause or disarm the action."""
     key = route(engine, ACTION).key
     (engine.pause(key, True) if how == "paused" else engine.disarm(key)).result(30)
-
-
-def is_awaited(engine: Engine, goal: Goal) -> bool:
-    """Return whether a client waits for a goal's result, as an engine knows."""
-    return any(each.result_awaited for each in route(engine, ACTION).goals if each.id == id_of(goal.handle()))
 
 
 def states(*engines: Engine) -> set[str]:

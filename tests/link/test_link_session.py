@@ -10,8 +10,20 @@ import msgspec
 import pytest
 from tests.support.wording import pattern
 
-from rsb_bridge.link.link_session import MOST_KEPT, LinkSession
-from rsb_bridge.wire.messages import Hello, Lease, Neighbours, Ping, Receipts, Settled
+from rsb_bridge.link.link_session import MOST_BYTES, MOST_KEPT, LinkSession
+from rsb_bridge.wire.codec import decode, encode
+from rsb_bridge.wire.messages import (
+    Hello,
+    Lease,
+    Neighbours,
+    Ping,
+    Propose,
+    Receipts,
+    Report,
+    Settled,
+    TopicList,
+    TypeText,
+)
 from rsb_bridge.wire.protocol_error import Broken, ProtocolError
 
 if TYPE_CHECKING:
@@ -33,8 +45,8 @@ def session_of() -> LinkSession:
 def again(session: LinkSession, count: int) -> tuple[ControlMessageBase, ...]:
     """Return what a peer lacks that has handled so many messages."""
     event: Any = SimpleNamespace(peer=SimpleNamespace(handled=count), keys=None)
-    session.acknowledge(count)
-    return tuple(session.resume(MagicMock(), event))
+    session.take_up(count)
+    return tuple(decode(each.content) for each in session.resume(MagicMock(), event))  # type: ignore[misc]
 
 
 def test_what_the_peer_has_not_handled_is_sent_again() -> None:
@@ -42,14 +54,14 @@ def test_what_the_peer_has_not_handled_is_sent_again() -> None:
     messages = sent(session, 5)
     session.acknowledge(2)
     assert again(session, 3) == tuple(messages[3:])
-    session.sends(more := Neighbours(bridges=()))
+    session.sends(more := Neighbours(bridges=("there",)))
     assert again(session, 3) == (*messages[3:], more)
     assert again(session, 6) == ()
 
 
 def test_what_belongs_to_a_connection_does_not_count() -> None:
     session = session_of()
-    for message in (Ping(1, 2), Receipts(), Lease(1)):
+    for message in (Ping(1, 2), Receipts(), Lease(1), Report((), ()), TopicList(1, bytes(9)), TypeText(1)):
         session.sends(message)
         session.handles(type(message))
     session.handles(Neighbours)
@@ -94,3 +106,34 @@ def test_it_is_over_beyond_its_limit() -> None:
     assert session.is_over
     session.acknowledge(MOST_KEPT)
     assert not session.could_have_handled(MOST_KEPT)
+
+
+def test_bytes_that_wait_are_limited() -> None:
+    session = session_of()
+    long = Neighbours(bridges=("x" * 250,) * 40)
+    size = len(encode(long))
+    for _ in range(MOST_BYTES // size):
+        session.sends(long)
+    assert not session.is_over
+    session.acknowledge(2)
+    session.sends(long)
+    session.sends(long)
+    assert not session.is_over, "what was handled takes no room"
+    session.sends(long)
+    assert session.is_over
+
+
+@pytest.mark.parametrize("accepted", [False, True])
+def test_peer_cannot_lack_proposal_it_accepted(accepted: bool) -> None:
+    session = session_of()
+    sent(session, 2)
+    session.sends(Propose(route=3, topic="/a", remote_topic="/a", from_client=True))
+    session.channels.is_accepted = lambda route_id: accepted  # type: ignore[method-assign]
+    client = Hello("1", "robot1", "there", 0, session=bytes(8), handled=2)
+    assert session.may_resume(client) is not accepted
+    assert session.may_resume(msgspec.structs.replace(client, handled=3))
+    if accepted:
+        with pytest.raises(ProtocolError, match=pattern(Broken.HANDLED_WRONG)):
+            session.take_up(2)
+    else:
+        assert len(again(session, 2)) == 1

@@ -24,8 +24,10 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.messages import ControlMessageBase
 
 
-def link_for(send: Callable[..., object], spawn: Callable[..., object]) -> Any:
-    return SimpleNamespace(context=SimpleNamespace(ros=NoRos()), shows=lambda *_: True, send=send, spawn=spawn)
+def link_for(loop: VirtualLoop, send: Callable[..., object], spawn: Callable[..., object]) -> Any:
+    return SimpleNamespace(
+        context=SimpleNamespace(ros=NoRos(), now=loop.time), shows=lambda *_: True, send=send, spawn=spawn
+    )
 
 
 class Side:
@@ -35,7 +37,7 @@ class Side:
         self.sent: list[ControlMessageBase] = []
         self.found: list[int] = []
         self._loop = loop
-        self.questions: Questions[bytes] = Questions(link_for(self.sent.append, self.spawn), 5.0)
+        self.questions: Questions[bytes] = Questions(link_for(loop, self.sent.append, self.spawn), 5.0)
 
     def spawn(self, work: Coroutine[None, None, None]) -> asyncio.Task[None]:
         return self._loop.create_task(work)
@@ -62,7 +64,7 @@ def side(loop: VirtualLoop) -> Side:
 
 async def test_who_lists_topics_meanwhile_shares_the_question(loop: VirtualLoop) -> None:
     sent: list[Any] = []
-    lists = TopicLists(link_for(sent.append, loop.create_task))
+    lists = TopicLists(link_for(loop, sent.append, loop.create_task))
     asking = [asyncio.ensure_future(lists.ask()) for _ in range(3)]
     await asyncio.sleep(0.0)
     assert sent == [ListTopics(1)]
@@ -80,7 +82,7 @@ async def test_who_lists_topics_meanwhile_shares_the_question(loop: VirtualLoop)
 async def test_slow_list_serves_later_askers_too(loop: VirtualLoop) -> None:
     """On a thin link, a second list would have to wait for the first."""
     sent: list[Any] = []
-    lists = TopicLists(link_for(sent.append, loop.create_task))
+    lists = TopicLists(link_for(loop, sent.append, loop.create_task))
     gives_up = asyncio.ensure_future(lists.ask())
     await asyncio.sleep(1.0)
     gives_up.cancel()
@@ -168,3 +170,45 @@ async def test_a_failure_ends_what_waits(side: Side) -> None:
     side.asked(3)
     await asyncio.sleep(2.0)
     assert side.sent == [TypeText(route=3)]
+
+
+async def test_lists_are_answered_once_a_second(loop: VirtualLoop) -> None:
+    """Of what a peer asks meanwhile, its newest question counts: it waits for no other one."""
+    sent: list[ControlMessageBase] = []
+    lists = TopicLists(link_for(loop, sent.append, loop.create_task))
+    ask, _ = lists.messages[ListTopics], lists.messages[TopicList]
+    for number in range(80):
+        ask(ListTopics(number))
+        await asyncio.sleep(0.125)
+    await asyncio.sleep(2.0)
+    answers = [each.request for each in sent if isinstance(each, TopicList)]
+    assert 10 <= len(answers) <= 12
+    assert (answers[0], answers[-1]) == (0, 79)
+    await asyncio.sleep(5.0)
+    ask(ListTopics(80))
+    await asyncio.sleep(0.01)
+    assert [each.request for each in sent if isinstance(each, TopicList)][-1] == 80
+
+
+async def test_types_are_answered_at_a_limited_rate(side: Side) -> None:
+    async def find() -> ControlMessageBase:
+        return TypeText(route=1)
+
+    for number in range(1000):
+        side.questions.answer(number, find)
+        await asyncio.sleep(0.01)
+    assert QUESTIONS_KEPT < len(side.sent) < 60
+
+
+async def test_questions_are_asked_again_on_next_connection(side: Side) -> None:
+    """Neither questions nor answers are kept while there is none."""
+    asking = asyncio.ensure_future(side.ask())
+    side.asked(1)
+    await asyncio.sleep(0.5)
+    side.questions.suspend()
+    await asyncio.sleep(2.0)
+    assert side.sent == [AskType(route=3)]
+    side.questions.resume()
+    assert side.sent == [AskType(route=3)] * 2
+    side.questions.answered(3, b"yes")
+    assert await asking == b"yes"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
@@ -72,7 +73,7 @@ class Pair:
 
         def lists(other: Callable[[], TopicLists]) -> TopicLists:
             link: Any = SimpleNamespace(
-                context=SimpleNamespace(ros=graph),
+                context=SimpleNamespace(ros=graph, now=time.monotonic),
                 shows=shows,
                 send=lambda message: take(other(), self._crossed(message)),
                 spawn=self._spawn,

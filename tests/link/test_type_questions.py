@@ -80,7 +80,7 @@ class Side:
         self.tasks: list[asyncio.Task[None]] = []
         self.has_sent = asyncio.Event()
         link: Any = SimpleNamespace(
-            context=SimpleNamespace(descriptions=self.known),
+            context=SimpleNamespace(descriptions=self.known, now=lambda: self.time),
             ids=SimpleNamespace(open_route=lambda _: route or Route()),
             linked=True,
             send=self._send,

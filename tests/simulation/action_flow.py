@@ -31,6 +31,7 @@ class ActionFlow(CallFlow[ActionServer]):
     Its period may be 0: it sends no goals by itself.
 
     Attributes:
+        asks_again: whether its clients repeat requests whose server is gone, as those of rclpy do not.
         explains: whether events of the world explain that a goal's result is unknown.
         log: goals and cancels that reached its servers, in order: ``goal`` or ``cancel``, and the goal.
     """
@@ -39,6 +40,7 @@ class ActionFlow(CallFlow[ActionServer]):
         super().__init__(*args, **kwargs)
         self.goals: dict[bytes, Goal] = {}
         self.heard = b""
+        self.asks_again = True
         self.explains: Callable[[Goal], bool] = lambda _: True
         self.log: list[tuple[str, Goal]] = []
         self.near_services = [names(self.near_name)[lane] for lane in SERVICES]
@@ -112,7 +114,12 @@ class ActionFlow(CallFlow[ActionServer]):
 
     @property
     def ready(self) -> bool:
-        return self._clients[SEND_GOAL].ready and self._clients[GET_RESULT].ready and self._clients[CANCEL_GOAL].ready
+        return self._clients[SEND_GOAL].ready and self.answers
+
+    @property
+    def answers(self) -> bool:
+        """Whether its clients see a server that they can ask about goals."""
+        return self._clients[GET_RESULT].ready and self._clients[CANCEL_GOAL].ready
 
     def send(self, plan: Plan | None = None) -> Goal | None:
         """Send a goal, and return it, or None if the client sees no server."""
@@ -147,7 +154,7 @@ class ActionFlow(CallFlow[ActionServer]):
 
     def _ask_again(self, life: int) -> None:
         """Repeat requests whose server is gone because the client's bridge was restarted."""
-        if life != self._life:
+        if life != self._life or not self.asks_again:
             return
         for goal in [each for each in self.goals.values() if each.client == life and each.told and not each.result]:
             if goal.cancel is not None and goal.cancel.is_lost:

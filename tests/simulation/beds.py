@@ -50,10 +50,11 @@ class Yard(Bed):
 
     Args:
         listed: the topics of the robot's session.
+        outlive: s that the link outlives its connection.
     """
 
-    def __init__(self, *listed: Topic) -> None:
-        self.world = World(1, replace(STILL, topics=(0,)))
+    def __init__(self, *listed: Topic, outlive: float = 0.0) -> None:
+        self.world = World(1, replace(STILL, topics=(0,), outlive=outlive))
         self.robot: EngineHost = self.world.robots[0].host
         self.server: EngineHost = self.world.server
         self.robot.session = msgspec.structs.replace(self.robot.session, topics=listed)

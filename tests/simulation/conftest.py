@@ -35,7 +35,7 @@ def harness(request: pytest.FixtureRequest) -> CallHarness:
 @pytest.fixture
 def yard(request: pytest.FixtureRequest) -> Yard:
     marker = request.node.get_closest_marker("bed")
-    return Yard(*marker.args if marker is not None else ())
+    return Yard(*marker.args, **marker.kwargs) if marker is not None else Yard()
 
 
 def bed_of(request: pytest.FixtureRequest) -> dict[str, Any]:

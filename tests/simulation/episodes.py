@@ -6,12 +6,13 @@ import asyncio
 import contextlib
 from typing import TYPE_CHECKING
 
-from tests.simulation.faults import move, reset
+from tests.simulation.faults import connections, move, reset
 from tests.simulation.streams import StreamTransport
 from tests.support import constants
 
 from rsb_bridge.link.graph_watch import FOR_ROUTES
 from rsb_bridge.link.refused_clients import ASKED_EVERY
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.commands import PauseTopics, Retry, ShutDownLinks
 
 if TYPE_CHECKING:
@@ -37,6 +38,20 @@ async def server_away(world: World, seconds: float, *, machine: bool) -> None:
         if machine:
             world.server.machine.power_on()
         world.server.start()
+
+
+async def reopened(world: World) -> None:
+    """Both sides open the action of a robot again and again, while its clients ask nothing twice."""
+    (robot,) = world.robots
+    for action in robot.action_flows:
+        action.asks_again = False
+    while True:
+        await asyncio.sleep(40.0)
+        robot.commanded = world.loop.time()  # it is not offered for a moment
+        for link in world.link_ends(robot) or ():
+            for route in link.routes.values():
+                if route.outgoing and route.proposal.kind == "action":
+                    route.request_reopen(EventCode.ROUTE_CHANNEL_LOST, "its opening ends")
 
 
 async def tunnelled(world: World, seconds: float, speed: float = 5_000.0, fresh_within: float = 6.0) -> None:
@@ -281,3 +296,23 @@ def slow_motion(tick: float) -> Iterator[None]:
         for constant, value in slower.items():
             stack.enter_context(constant.during(value))
         yield
+
+
+async def data_connections_break(world: World, times: int) -> None:
+    """Something between keeps what the data connections carry, and resets them after 3 s, the large one first."""
+    (robot,) = world.robots
+    for _ in range(times):
+        assert robot.host.run is not None
+        (link,) = robot.host.run.links()
+        pair = link.channels.pair_of("tcp", link.shared_port())
+        assert pair is not None
+        of_stream = {each.get_protocol(): each for each in connections(robot)}
+        ends = [of_stream[each.stream] for each in reversed(pair.streams())]
+        with world.trouble("data connections", robot):
+            for each in ends:
+                each.forget(told=False)
+            await asyncio.sleep(3.0)
+            for each in ends:
+                each.reset()
+                await asyncio.sleep(0.1)
+        await asyncio.sleep(20.0)

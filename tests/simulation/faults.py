@@ -97,14 +97,14 @@ async def bad_network(world: World, robot: Robot, random: Random) -> None:
         await asyncio.sleep(_LATEST)
 
 
-def _connections(robot: Robot) -> list[StreamTransport]:
+def connections(robot: Robot) -> list[StreamTransport]:
     held = robot.host.run.process.descriptors if robot.host.run is not None else ()
     return [each for each in held if isinstance(each, StreamTransport)]
 
 
 async def reset(world: World, robot: Robot, random: Random) -> None:
     """A firewall between resets some of the robot's connections."""
-    found = _connections(robot)
+    found = connections(robot)
     with world.trouble("reset", robot):
         for each in random.sample(found, random.randint(0, len(found))):
             each.reset()
@@ -114,7 +114,7 @@ async def reset(world: World, robot: Robot, random: Random) -> None:
 async def half_open(world: World, robot: Robot, random: Random) -> None:
     """A NAT between forgets the robot's connections; none or one of the two ends of each hears of it."""
     with world.trouble("half-open", robot):
-        for each in _connections(robot):
+        for each in connections(robot):
             random.choice((each, each.peer)).forget(told=random.random() < 0.3)
         await asyncio.sleep(1.0)
 

@@ -17,6 +17,7 @@ from tests.simulation.episodes import (
     connections_reset,
     delayed,
     paused_while_away,
+    reopened,
     restarted_while_cut,
     server_away,
     tunnelled,
@@ -35,6 +36,8 @@ from rsb_bridge.link.route_ids import RouteIds
 from rsb_bridge.link.route_table import RouteTable
 from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.ros.publication_numbers import PublicationNumbers
+from rsb_bridge.route.calls.asked_calls import AskedCalls
+from rsb_bridge.route.calls.caller_goals import CallerGoals
 from rsb_bridge.route.calls.calls_ledger import CallFailures
 from rsb_bridge.route.calls.pending_calls import PendingCalls
 from rsb_bridge.route.calls.service_offer import ServiceOffer
@@ -270,6 +273,7 @@ def _at_once(self: OrderedReader, number: int, message: Message) -> Message | No
 _OUTLIVES = replace(LIVELY, outlive=60.0)
 _ONE = replace(_OUTLIVES, robots=(1,), faults=0.0, commands=0.0, nights=0.0)
 _MOVES = replace(_OUTLIVES, moves=120.0)
+_ASKS_ONCE = replace(ACTIONS, actions=(1,), periods=(10.0, 10.0), faults=0.0)
 _WATCHED = replace(STILL, checks=(1.0, 1.0))
 
 # fmt: off
@@ -320,6 +324,10 @@ MUTATIONS = (
     Mutation("calls that are lost are not counted",
              ((CallFailures, "lost", nothing),),
              "calls (are )?in flight, and", replace(ACTIONS, faults=20.0), 3, 0.2),
+    Mutation("a request for a result ends with its opening",
+             ((CallerGoals, "repeats", _never),), "waits for its result", _ASKS_ONCE, 1, 0.2, reopened),
+    Mutation("a cancel or a request for a result is not sent again",
+             ((AskedCalls, "send_again", nothing),), "waits for its result", _ASKS_ONCE, 1, 0.2, reopened),
     Mutation("what is sent again comes again",
              ((DataReader, "open_resumed", _remember_nothing),), "came out twice", _OUTLIVES, 1, 0.5),
     Mutation("messages on a lost stream are not sent again",

@@ -32,6 +32,9 @@ if TYPE_CHECKING:
     from tests.simulation.engine_host import EngineHost
     from tests.simulation.goals import Goal
 
+    from rsb_bridge.route.calls.caller import Caller
+    from rsb_bridge.route.calls.provider import Provider
+
 _SETTLED = 60.0
 """s after which no server that was killed is seen any more, and every goal has been answered or given up."""
 SIDES = ("server", "client")
@@ -55,7 +58,27 @@ class Court(Bed):
         self.near, self.far = ends if provider == "server" else ends[::-1]
 
     async def begin(self) -> None:
+        if self.action.topic.arm:
+            self.action.troubles["not armed at times"] += 1
+            await super().begin()
+            await self.arm()
         await until(lambda: self.action.ready, 30.0)
+
+    async def arm(self) -> None:
+        await self._do(ArmTopic, self.near)
+
+    def callers(self) -> Caller | Provider:
+        """Return the callers' half."""
+        return next(half for half in halves_of(self.world, self.action) if half.outgoing)
+
+    async def disarm(self, host: EngineHost) -> None:
+        await self._do(DisarmTopic, host)
+
+    async def _do(self, command: type[ArmTopic | DisarmTopic], host: EngineHost) -> None:
+        run = host.run
+        assert run is not None
+        (route,) = [route for link in run.links() for route in link.routes.values()]
+        await run.command(run.bridge.do(command(route.key)))
 
     async def live(self, life: Coroutine[None, None, None]) -> None:
         """Run a test, and wait until everything that it leaves behind is forgotten."""
@@ -124,6 +147,48 @@ async def test_cancel_of_a_cut_waits_for_its_end(provider: str, court: Court) ->
     await until(lambda: first.result, 15.0)
     assert (first.result, first.cancel.at) == ("canceled", asked_at), "its client has not asked again"
     assert not second.result
+
+
+@pytest.mark.parametrize("provider", SIDES)
+@pytest.mark.parametrize("end", ["near", "far", "cut"])
+@pytest.mark.bed(arm=True, deadman=0.0, outlive=60.0)
+async def test_end_of_arming_loses_no_caller(provider: str, end: str, court: Court) -> None:
+    """A client's cancel and its requests for results are under way then, and it asks nothing twice."""
+    court.action.asks_again = False
+    first, second = await court.goal(runs=300.0), await court.goal(runs=30.0)
+    for path in court.world.network.both_ways(court.near.machine, court.far.machine):
+        path.latency = (0.2, 0.2)
+    court.action.cancel(first)
+    await asyncio.sleep(0.05)
+    if end == "cut":
+        with court.cut():
+            await asyncio.sleep(15.0)
+    else:
+        await court.disarm(getattr(court, end))
+    await until(lambda: first.result, 15.0)
+    await until(lambda: second.result, 30.0)
+    assert [each.result for each in (first, second)] == ["canceled", "succeeded"]
+    calls = court.callers().flow.calls
+    assert calls.lost == calls.in_flight == 0
+    await court.arm()
+    await until(lambda: court.action.ready, 5.0)
+    await court.goal(runs=1.0)
+
+
+@pytest.mark.parametrize("provider", SIDES)
+@pytest.mark.bed(arm=True, deadman=0.0, outlive=20.0)
+async def test_calls_are_lost_with_their_association(provider: str, court: Court) -> None:
+    court.action.asks_again = False
+    goal = await court.goal(runs=100.0)
+    calls = court.callers().flow.calls
+    with court.cut():
+        await asyncio.sleep(15.0)
+        assert (calls.in_flight, calls.lost) == (1, 0)
+        await asyncio.sleep(20.0)
+        assert (calls.in_flight, calls.lost) == (0, 1)
+    await until(lambda: court.action.answers, 30.0)
+    court.action.ask_result(goal)
+    await until(lambda: goal.result, 90.0)
 
 
 @pytest.mark.parametrize("provider", SIDES)

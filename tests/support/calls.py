@@ -136,6 +136,10 @@ class CallNode(Asked):
         eventually(lambda: not self.ready(service), within, f"no server of {service}")
         return time.monotonic() - began
 
+    def client(self, service: str, *, depth: int, busy: float) -> None:
+        """Make a client that keeps so many answers, and is busy for so long (s) with each."""
+        self.ask(do="client", service=service, depth=depth, busy=busy)
+
     def begin(
         self, service: str, count: int = 1, *, at_once: int = 1, size: int = 0, response: int = 0, rate: float = 0.0
     ) -> None:
@@ -318,12 +322,13 @@ class _Calls:
 class _Client:
     """A client, taken from by `_Loop`."""
 
-    def __init__(self, node: Any, service: str) -> None:
+    def __init__(self, node: Any, service: str, depth: int = DEEP, busy: float = 0.0) -> None:
         from nav_msgs.srv import LoadMap
         from rclpy.qos import QoSProfile
 
         self._node = node
-        self.client = node.create_client(LoadMap, service, qos_profile=QoSProfile(depth=DEEP))
+        self._busy = busy
+        self.client = node.create_client(LoadMap, service, qos_profile=QoSProfile(depth=depth))
         self.handle = self.client.handle
         self.calls = _Calls("", 0, 0, 0, 0, 0.0)
         self._kind = LoadMap
@@ -338,6 +343,9 @@ class _Client:
                     break
                 calls, key, since = self._waiting.pop(header.request_id.sequence_number)
                 calls.take(key, since, response)
+                if self._busy:
+                    time.sleep(self._busy)
+                    break
             while (following := self.calls.next()) is not None:
                 key, text = following
                 request, since = self._kind.Request(map_url=text), time.monotonic()
@@ -412,6 +420,8 @@ class _Loop:
         match do:
             case "serve":
                 self._servers[service] = _Server(self._node(request.pop("node")), service, **request)
+            case "client":
+                self._clients[service] = _Client(self._node("client"), service, **request)
             case "unserve":
                 self._servers.pop(service).close()
             case "served":

@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Protocol, TypeAlias
 from rsb_bridge.channel.channel import REOPENS, Counts, DataChannel, ReceivingChannel
 from rsb_bridge.channel.scheduler import Carrier, SendingChannel
 from rsb_bridge.channel.window import ReceiptBook, ReceiptCounter
+from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.model.reason import NO_REASON, EndCode, Reason
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause, Verdict
@@ -50,16 +51,21 @@ LARGE = 16 * 1024
 """Bytes of a message that takes the stream for large ones (bench/README.md, *Constants of data streams*)."""
 
 # Of lost streams. Round figures.
-_MOST_LOSSES, _LOSSES_WITHIN = 3, 15.0
-"""Losses of a pair within so many s after which its routes do not resume: where each stream is lost at once, they open
-again with delays of their own. Three, because a firewall that forgets both shows it one by one."""
+_AT_ONCE, _STEADY_AFTER = 3, 15.0
+"""Losses of a pair upon which its streams are opened again at once, unless they lasted for so many s: from then on each
+attempt waits longer. Three, because a firewall that forgets both shows it one by one."""
+_FIRST_DELAY, _LONGEST_DELAY = 0.9, 5.0  # s between such attempts: a path that is back has its streams within 5 s
+_FAILING_AFTER = 10.0
+"""s without a stream on which anything gets through, after which that is a fault. Routes wait at least as long."""
 _SHORTEST_PAUSE, _LONGEST_PAUSE = 5.0, 60.0
 """s until a stream is opened that no route of this side waits for, and that the other side may refuse."""
 _DEAD_AFTER, _UNHEARD = 10.0, 2.5
 """s without a receipt for bytes that the kernels have exchanged, after which a stream is given up, as long as the
 control connection, which brings the receipts, was never silent for so many s: something acknowledges, and passes
 nothing on. Receipts come once a second."""
-_AWAITED_FOR, _RETRIED_AFTER = 10.0, 0.9  # s that routes wait for a new stream, and between a client's attempts
+
+
+_CHECK = "check firewalls and NAT between the two sides"
 
 
 class RouteNumbers(Protocol):
@@ -78,6 +84,10 @@ class StreamsOwner(Protocol):
     keys: DataKeys
     scheduler: Scheduler
     book: ReceiptBook
+
+    @property
+    def outlives(self) -> float:
+        """Seconds for which what is lost may be opened again."""
 
     @property
     def ids(self) -> RouteNumbers: ...
@@ -122,6 +132,11 @@ class DataStream(Carrier, StreamHandler):
     @property
     def in_transit(self) -> int:
         return self.sent - self._settled
+
+    @property
+    def delivers(self) -> bool:
+        """Whether anything of a route's has arrived on it, or nothing has to."""
+        return self.acknowledged > self.resumed or self.sent <= max(self.acknowledged, self.resumed)
 
     def write_off(self) -> None:
         self._settled = self.sent
@@ -284,13 +299,15 @@ class StreamPair:
     """The streams for small and for large messages of the routes that name one port.
 
     If the stream of large messages is lost, as where only large packets are, the routes on the other one stay. Without
-    the stream of small messages, both end. Routes of a lost stream resume once both are open (`resume_routes`). The
-    pair itself suspends and resumes with the link's connection.
+    the stream of small messages, both end. Routes of a lost stream resume once both are open (`resume_routes`), as long
+    as a session outlives its connection: until then, nothing closes a route that may resume. The pair itself suspends
+    and resumes with the link's connection.
 
     Attributes:
         small: the stream of small messages, or None until it is accepted.
         large: that of large messages, or the same one.
         stuck: the streams on which nothing got through at the last tick.
+        is_failing: whether no streams came for a while that delivered anything, at the last tick.
         over: whether they have ended, and routes need another pair.
         kept: whether they stay open while no route uses them.
         transport: theirs.
@@ -301,17 +318,20 @@ class StreamPair:
         self.small: DataStream | None = None
         self.large: DataStream | None = None
         self.stuck: Sequence[DataStream] = ()
+        self.is_failing = False
         self.over = False
         self.kept = True
         self.scheduler, self.book, self.keys = owner.scheduler, owner.book, owner.keys
         self.ends: dict[int, _StreamEnd] = {}
         self._owner, self.transport, self.port = owner, transport, port
-        self._lost_at = self._asked_at = float("-inf")
+        self._failing_since: float | None = None  # since the first of the losses that nothing got through in between
+        self._opened_at = self._asked_at = float("-inf")  # when both were last open, and asked for
+        self._retry_at = 0.0
+        self._at_once = _AT_ONCE  # attempts that need not wait
+        self._backoff = Backoff(_FIRST_DELAY, _LONGEST_DELAY)
         self._unheard_at = float("-inf")  # when the control connection was silent last
         self._lost_for = NO_REASON
         self._pause = _SHORTEST_PAUSE
-        self._in_vain = False  # the last lost stream was
-        self._losses: deque[float] = deque(maxlen=_MOST_LOSSES)  # the times (s)
 
     @property
     def ready(self) -> bool:
@@ -320,7 +340,7 @@ class StreamPair:
     @property
     def trouble(self) -> tuple[object, ...]:
         """What its routes' trouble follows from."""
-        return tuple([each.number for each in self.stuck]), 0 if self.ready else len(self._waiting())
+        return tuple([each.number for each in self.stuck]), 0 if self.ready else len(self._waiting()), self.is_failing
 
     def lacks(self) -> tuple[bool, bool]:
         """Return whether the streams of small and of large messages are not open."""
@@ -372,19 +392,32 @@ class StreamPair:
         if self.over or stream.over:
             return
         now = self.book.now()
-        # Where two in a row deliver nothing, or nothing any more, the next one would do no better: as where only large
-        # packets are lost, or a firewall resets each connection once there is a message.
-        owes = stream.sent > max(stream.acknowledged, stream.resumed)
-        got_through = stream.acknowledged > stream.resumed and now - stream.moved_at < self.scheduler.stalls_after
-        was_in_vain, self._in_vain = self._in_vain, owes and not got_through
-        resumes = not (was_in_vain and self._in_vain)
+        if self._failing_since is None or stream.acknowledged > stream.resumed:
+            self._failing_since = now
         if self.ready:  # else it belongs to the loss before
-            resumes = resumes and not (len(self._losses) == _MOST_LOSSES and now - self._losses[0] < _LOSSES_WITHIN)
-            self._losses.append(now)
+            self._plan_attempt(now)
+        resumes = now - self._failing_since <= self._patience
         self.drop(stream, reason, resumes=resumes)
         if resumes and self.ends:
             self._pause = _SHORTEST_PAUSE
-            self._owner.open_streams(self.transport, self.port)
+            if now >= self._retry_at:
+                self._owner.open_streams(self.transport, self.port)
+
+    @property
+    def _patience(self) -> float:
+        """Seconds for which routes wait for streams that deliver."""
+        return max(_FAILING_AFTER, self._owner.outlives)
+
+    def _plan_attempt(self, now: float) -> None:
+        """Set when streams are opened again that were lost at `now` (s): later each time if they are lost at once."""
+        if now - self._opened_at >= _STEADY_AFTER:
+            self._at_once = _AT_ONCE
+            self._backoff.reset()
+        self._retry_at = now
+        if self._at_once:
+            self._at_once -= 1
+        else:
+            self._retry_at += self._backoff.next()
 
     def drop(self, stream: DataStream, reason: Reason, *, resumes: bool = False) -> None:
         """End one stream, and close its routes: without `lose`, the peer has broken the format on it.
@@ -394,7 +427,7 @@ class StreamPair:
         """
         if self.over or stream.over:
             return
-        self._lost_at, self._lost_for = self.book.now(), reason
+        self._lost_for = reason
         lost = self.streams() if stream is self.small else (stream,)
         for sender, batch in (sent for each in lost for sent in each.unacknowledged()):
             sender.unacknowledged += batch
@@ -416,8 +449,6 @@ class StreamPair:
         """End both streams, as the link has lost its connection; all routes wait. Armed ones are closed already."""
         if self.over:
             return
-        self._losses.clear()
-        self._in_vain = False
         for each in self.streams():
             self.drop(each, reason, resumes=True)
         if not self.ends:
@@ -426,7 +457,8 @@ class StreamPair:
     def resume(self, keys: DataKeys) -> None:
         """Take the keys of the link's next connection. Routes resume once streams are added, or at once on its own."""
         self.keys = keys
-        self._lost_at = self.book.now()  # the wait for streams begins
+        self._failing_since = self._asked_at = self.book.now()  # the wait for streams begins
+        self._opened_at, self._retry_at = float("-inf"), self._asked_at + _FIRST_DELAY
         self._lost_for = NO_REASON  # the log has the link's loss
         for end in self.ends.values():
             end.take_keys(keys)
@@ -441,6 +473,7 @@ class StreamPair:
         waiting = self._waiting()
         if not waiting or not self.ready:
             return NO_REASON
+        self._opened_at = self.book.now()
         for end in waiting:
             end.resume()
         self.take_held()
@@ -448,8 +481,14 @@ class StreamPair:
         return self._lost_for
 
     def failed(self, reason: Reason) -> None:
-        """Record why streams could not be opened. Routes that wait for them go on waiting, up to `_AWAITED_FOR`."""
+        """Record why streams could not be opened. Routes that wait for them go on waiting, up to `_patience`."""
         self._lost_for = reason
+        self._retry_at = self.book.now() + self._backoff.next()
+
+    @property
+    def lost_for(self) -> str:
+        """Why the last streams were lost, or did not come."""
+        return self._lost_for.text or "none came"
 
     def _give_up(self) -> None:
         """Close the routes that wait for a stream in place of a lost one."""
@@ -474,15 +513,19 @@ class StreamPair:
                 self.lose(each, Reason("nothing got through for 10 s, check firewalls and proxies", EndCode.BROKE))
         # The kernel is asked here, and not by each of hundreds of routes.
         self.stuck = [each for each in self.streams() if each.stream.stuck]
+        if self.ready and all(each.delivers for each in self.streams()):
+            self._failing_since = None
+        failing_for = 0.0 if self._failing_since is None else now - self._failing_since
+        self.is_failing = failing_for >= _FAILING_AFTER
         if not self.ends or self.ready:
             return
-        waiting, asked_for = self._waiting(), now - max(self._lost_at, self._asked_at)
-        if waiting and now - self._lost_at > _AWAITED_FOR:
+        if not self._waiting():  # a route of the other side may need it
+            if now - self._asked_at > self._pause:
+                self._asked_at, self._pause = now, min(2 * self._pause, _LONGEST_PAUSE)
+                self._owner.open_streams(self.transport, self.port)
+        elif failing_for > self._patience:
             self._give_up()
-        elif asked_for > (_RETRIED_AFTER if waiting else self._pause):
-            self._asked_at = now
-            if not waiting:  # a route of the other side may need it
-                self._pause = min(2 * self._pause, _LONGEST_PAUSE)
+        elif now >= self._retry_at:
             self._owner.open_streams(self.transport, self.port)
 
     def end(self, reason: str) -> None:
@@ -522,6 +565,12 @@ class _StreamEnd(DataChannel):
         pair.ends[route.id] = self
 
     def trouble(self) -> Verdict | None:
+        pair = self._pair
+        if pair.is_failing and (
+            self.is_suspended or any(self.uses(each) for each in pair.streams() if not each.delivers)
+        ):
+            text = f"no data connection of it delivers anything ({pair.lost_for}), though the link is up: {_CHECK}"
+            return Verdict(State.DOWN, Cause.NO_PATH, text)
         if self.is_suspended:
             return Verdict(State.WAITING, Cause.AWAITS_LINK, REOPENS)
         if not any(self.uses(each) for each in self._pair.stuck if not each.over):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from rsb_bridge.link.control_channel import ControlChannel
 from rsb_bridge.link.extension import Extension, Extensions
 from rsb_bridge.link.keepalive import Keepalive
-from rsb_bridge.link.link_session import LinkSession
+from rsb_bridge.link.link_session import NEVER_HANDLED, LinkSession
 from rsb_bridge.link.route_ids import RouteIds
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level, State
@@ -21,7 +21,7 @@ from rsb_bridge.route.peer import PeerBudget
 from rsb_bridge.tasks import Tasks, in_slices
 from rsb_bridge.transport.network_news import device_of
 from rsb_bridge.wire.codec import encode
-from rsb_bridge.wire.messages import Ping, Pong, Propose, Receipts
+from rsb_bridge.wire.messages import Ping, Pong, Receipts
 from rsb_bridge.wire.protocol_error import ProtocolError
 
 if TYPE_CHECKING:
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from rsb_bridge.link.control_channel import Slices
     from rsb_bridge.link.data_channels import DataChannels
     from rsb_bridge.link.keepalive import ChannelCarrier
+    from rsb_bridge.link.link_session import KeptMessage
     from rsb_bridge.model.session import Kind
     from rsb_bridge.model.transports import LinkProfile
     from rsb_bridge.route.peer import LinkPath, LinkRates
@@ -43,7 +44,7 @@ if TYPE_CHECKING:
     from rsb_bridge.transport.streams import Stream
     from rsb_bridge.wire.connection import ClientConnection, ServerConnection
     from rsb_bridge.wire.events import Established
-    from rsb_bridge.wire.messages import ControlMessageBase, Hello, UrgentMessage, Welcome
+    from rsb_bridge.wire.messages import ControlMessageBase, Hello, Propose, UrgentMessage, Welcome
     from rsb_bridge.wire.sealing import Role
 
 _E = TypeVar("_E", bound=Extension)
@@ -321,11 +322,11 @@ class BaseLink(ABC):
             self._resume(again)
         return control
 
-    def _join_session(self, control: ControlChannel, event: Established) -> Sequence[ControlMessageBase] | None:
+    def _join_session(self, control: ControlChannel, event: Established) -> Sequence[KeptMessage] | None:
         """Resume the session, and return what the peer lacks of it; or begin a new one, and return None."""
         session, again = self.session, None
         if session is not None and session.resumes(event):
-            session.acknowledge(event.peer.handled)
+            session.take_up(event.peer.handled)
             if self._channels is not None:
                 self._leave()
             again = session.resume(control, event)
@@ -343,12 +344,12 @@ class BaseLink(ABC):
         self.extensions.suspend()
         channels.suspend(reason)
 
-    def _resume(self, again: Sequence[ControlMessageBase]) -> None:
+    def _resume(self, again: Sequence[KeptMessage]) -> None:
         """Send what the peer has not handled on the last connection, and have the link's parts resume."""
         for message in again:
-            if isinstance(message, Propose):
-                self.derive_keys(message.route, proposed_here=True)
-            self.channels.control.send(message)
+            if message.proposes:
+                self.derive_keys(message.proposes, proposed_here=True)
+            self.channels.control.send_encoded(message.content)
         self.extensions.resume()
         self.channels.open_all()
 
@@ -467,6 +468,8 @@ class BaseLink(ABC):
             self.session.sends(message)
         if self._channels is not None:
             self._channels.control.send(message)
+            if self.session is not None and self.session.is_over:
+                self._channels.control.stream.abort(NEVER_HANDLED)  # `lost` comes later
         elif self.session is not None and self.session.is_over:
             self.end_session()
 

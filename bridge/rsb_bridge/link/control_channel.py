@@ -126,7 +126,13 @@ class ControlChannel(StreamHandler):
 
     def send(self, message: ControlMessageBase) -> None:
         """Send a message, or keep it until the stream takes it."""
-        sealed = self._connection.send(message)
+        self._write(self._connection.send(message))
+
+    def send_encoded(self, content: bytes) -> None:
+        """Send a message as it was encoded; see `send`."""
+        self._write(self._connection.send_encoded(content))
+
+    def _write(self, sealed: bytes) -> None:
         if not self.stream.congested:
             self.stream.write(sealed)
         elif len(self._unsent) + len(sealed) > _MOST_WAITING:

@@ -51,6 +51,7 @@ class CarriedLink(Protocol):
     ids: RouteIds
     budget: PeerBudget
     keepalive: Keepalive
+    outlives: float
     shortages_told: set[bool]  # kernel buffers of this side (True) or the peer that are logged already
 
     def shared_port(self) -> int: ...
@@ -123,12 +124,22 @@ class DataChannels:
             if not pair.over:
                 pair.resume(self.keys)
 
+    @property
+    def outlives(self) -> float:
+        """Seconds for which lost streams may be opened again: as many as the session outlives its connection."""
+        return self._link.outlives
+
     def open_all(self) -> None:
         """Open the streams and UDP channels that routes wait for."""
         for pair in self._pairs.values():
             if not pair.over and any(pair.lacks()):
                 self.open_streams(pair.transport, pair.port)
         self._link.spawn(self._advance())
+
+    def is_accepted(self, route_id: int) -> bool:
+        """Whether the other side has accepted an opening of a route, which still is open."""
+        route = self.ids.open_route(route_id)
+        return route is not None and route.life.accepted
 
     def ping(self) -> float:
         return 2 * (self._link.keepalive.clock.uncertainty or 0.0)
@@ -190,7 +201,9 @@ class DataChannels:
 
     async def _advance(self) -> None:
         def advance(route: Route) -> None:
-            if not route.id:  # a slice before this one has closed it
+            # A slice before this one has closed it, or the connection was lost before this one's turn: the next one has
+            # its own keys and sockets, and its own turn.
+            if not route.id or self.control.over:
                 return
             if isinstance(route.half.carried.channel, DatagramEnd) and route.half.carried.channel.is_suspended:
                 self.open(route)

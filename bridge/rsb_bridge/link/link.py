@@ -144,6 +144,11 @@ class RouteReports(Extension):
         parts = (routes[first : first + _REPORTED_AT_ONCE] for first in range(0, len(routes), _REPORTED_AT_ONCE))
         self._link.spawn(in_slices(parts, report, at_once=1))
 
+    def resume(self) -> None:
+        """Report all routes, as the last reports may have been lost with the connection."""
+        for route in self._link.ids.open_routes():
+            self.add(route)
+
     def leaving(self) -> None:
         """Send the last counts: what is not in them has not arrived."""
         routes = [*self._link.routes.values()]

@@ -8,8 +8,11 @@ both sides were: each says how many messages it has handled, and the other sends
 from __future__ import annotations
 
 from collections import deque
-from typing import TYPE_CHECKING
+from itertools import islice
+from typing import TYPE_CHECKING, NamedTuple
 
+from rsb_bridge.wire.codec import encode
+from rsb_bridge.wire.framing import CONTROL_LIMIT
 from rsb_bridge.wire.messages import OF_CONNECTION, Propose
 from rsb_bridge.wire.protocol_error import Broken, ProtocolError
 
@@ -22,8 +25,21 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.events import Established
     from rsb_bridge.wire.messages import ControlMessageBase, Hello
 
-MOST_KEPT = 16_384
-"""Control messages that wait: a thousand routes are opened with some four thousand. A round figure."""
+MOST_KEPT, MOST_BYTES = 16_384, 8 * CONTROL_LIMIT
+"""Control messages that wait, and their bytes: a thousand routes are opened with some four thousand. Round figures."""
+NEVER_HANDLED = "the peer takes control messages and handles none: more wait than it may have"
+
+
+class KeptMessage(NamedTuple):
+    """A control message that the peer may not have handled.
+
+    Attributes:
+        content: as it is encoded.
+        proposes: the route that it proposes, or 0.
+    """
+
+    content: bytes
+    proposes: int
 
 
 class LinkSession:
@@ -36,7 +52,7 @@ class LinkSession:
     Attributes:
         channels: of the present connection, or of the last one while it is suspended.
         handled: messages of the peer that this side has handled to their end.
-        is_over: whether more messages waited than may: it ends with its connection.
+        is_over: whether more waited than may: it ends with its connection, which ends, too.
     """
 
     def __init__(self, session_id: bytes, instance: str, channels: DataChannels) -> None:
@@ -46,7 +62,8 @@ class LinkSession:
         self.handled = 0
         self.is_over = False
         self._acknowledged = 0
-        self._waiting: deque[ControlMessageBase] = deque()
+        self._waiting: deque[KeptMessage] = deque()
+        self._bytes = 0  # of these
         self._ends: asyncio.TimerHandle | None = None
 
     # --- its connections
@@ -54,7 +71,7 @@ class LinkSession:
     def may_resume(self, hello: Hello) -> bool:
         """Whether a client may resume it: it is the same process, and nothing is missing."""
         known = (hello.session, hello.instance) == (self.id, self._instance)
-        return known and self.could_have_handled(hello.handled)
+        return known and self._could_go_on_from(hello.handled)
 
     def resumes(self, event: Established) -> bool:
         """Whether both sides resume it on a new connection."""
@@ -65,11 +82,11 @@ class LinkSession:
         self._ends = ends
         self.channels.suspend(reason)
 
-    def resume(self, control: ControlChannel, event: Established) -> Sequence[ControlMessageBase]:
+    def resume(self, control: ControlChannel, event: Established) -> Sequence[KeptMessage]:
         """Resume on another connection, and return what the peer lacks."""
         self._stop_waiting()
         again = tuple(self._waiting)
-        self.channels.resume(control, event.keys, [each.route for each in again if isinstance(each, Propose)])
+        self.channels.resume(control, event.keys, [each.proposes for each in again if each.proposes])
         return again
 
     def end(self) -> None:
@@ -92,8 +109,9 @@ class LinkSession:
         """Keep a message, which is being sent or waits for a connection, until the peer has handled it."""
         if self.is_over or isinstance(message, OF_CONNECTION):
             return
-        self._waiting.append(message)
-        if len(self._waiting) > MOST_KEPT:
+        self._waiting.append(KeptMessage(encode(message), message.route if isinstance(message, Propose) else 0))
+        self._bytes += len(self._waiting[-1].content)
+        if len(self._waiting) > MOST_KEPT or self._bytes > MOST_BYTES:
             self.is_over = True
             self._waiting.clear()
 
@@ -106,6 +124,24 @@ class LinkSession:
         """Whether a peer may have handled the first `count` messages, and no message that it lacks is gone."""
         return not self.is_over and 0 <= count - self._acknowledged <= len(self._waiting)
 
+    def _could_go_on_from(self, count: int) -> bool:
+        """Whether a peer may resume that has handled the first `count` messages: it has used no later proposal."""
+        if not self.could_have_handled(count):
+            return False
+        lacking = islice(self._waiting, count - self._acknowledged, None)
+        return not any(each.proposes and self.channels.is_accepted(each.proposes) for each in lacking)
+
+    def take_up(self, count: int) -> None:
+        """Forget the first `count` messages, as the peer resumes.
+
+        Raises:
+            ProtocolError: as `acknowledge`; or the peer has used a proposal that it says it lacks, whose keys on the
+                next connection would be others on each side.
+        """
+        if not self.is_over and not self._could_go_on_from(count):
+            raise ProtocolError(Broken.HANDLED_WRONG(count=count))
+        self.acknowledge(count)
+
     def acknowledge(self, count: int) -> None:
         """Forget the first `count` messages of the session.
 
@@ -117,5 +153,5 @@ class LinkSession:
         if not self.could_have_handled(count):
             raise ProtocolError(Broken.HANDLED_WRONG(count=count))
         for _ in range(count - self._acknowledged):
-            self._waiting.popleft()
+            self._bytes -= len(self._waiting.popleft().content)
         self._acknowledged = count

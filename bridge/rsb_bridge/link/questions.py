@@ -18,10 +18,12 @@ from rsb_bridge.cdr.description import DESCRIPTION_LIMIT, difference_of_texts, h
 from rsb_bridge.link.control_channel import entries_in_slices
 from rsb_bridge.link.extension import Denied, Extension, LinkError
 from rsb_bridge.link.proposals import KINDS
+from rsb_bridge.model.budgets import TokenBucket
 from rsb_bridge.model.calls import MOST_LANES
 from rsb_bridge.model.limits import TEXT_LENGTH
 from rsb_bridge.model.snapshot import TopicInfo
 from rsb_bridge.ros.ros_graph import CALLED, graph_of
+from rsb_bridge.tasks import NOT_TOO_EARLY
 from rsb_bridge.wire.codec import MOST_TOPICS, pack_topics, topic_entries, unpack
 from rsb_bridge.wire.framing import CONTROL_LIMIT
 from rsb_bridge.wire.messages import AskType, ListTopics, TopicList, TypeText
@@ -40,6 +42,8 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 QUESTIONS_KEPT = 8  # unanswered questions of the peer of one kind; further ones are ignored (PROTOCOL.md, 3)
+_A_SECOND = 4.0  # answers to a peer, after `QUESTIONS_KEPT` at once. A round figure
+_LISTS_A_SECOND = 1.0  # a list of a large graph takes 50 ms
 _MOST_TYPES = 2 * MOST_LANES  # of one route, each with a line of an answer
 _ANSWERED_WITHIN = 10.0  # s: the other side may have to ask three nodes, 2.5 s each (`ros.type_descriptions`)
 
@@ -48,6 +52,7 @@ _ANSWERED_WITHIN = 10.0  # s: the other side may have to ask three nodes, 2.5 s 
 class _Asked(Generic[T]):
     """A question to the peer that has no answer yet."""
 
+    question: ControlMessageBase
     answer: asyncio.Future[T]
     askers: int = 0  # callers that wait for it
     to_send: bool = True  # the next caller sends it: it has not been sent, or a caller has waited for too long
@@ -56,15 +61,24 @@ class _Asked(Generic[T]):
 class Questions(Generic[T]):
     """The questions of one kind, in both directions of a link.
 
+    A question and its answer belong to a connection: what the next one finds without an answer is asked again there.
+
     Args:
         answered_within: seconds that the peer has for an answer.
+        a_second: answers to the peer in a second.
+        newest_counts: whether the peer waits for the answer to its newest question only, so that none is given ahead.
     """
 
-    def __init__(self, link: BaseLink, answered_within: float) -> None:
+    def __init__(
+        self, link: BaseLink, answered_within: float, *, a_second: float = _A_SECOND, newest_counts: bool = False
+    ) -> None:
         self._link = link
         self._answered_within = answered_within
+        self._a_second, self._newest_counts = a_second, newest_counts
+        self._allowance = TokenBucket(1 if newest_counts else QUESTIONS_KEPT, a_second, link.context.now())
         self._asked: dict[int, _Asked[T]] = {}
-        self._to_answer: dict[int, Callable[[], Awaitable[ControlMessageBase]]] = {}  # the first is being answered
+        self._to_answer: dict[int, Callable[[], Awaitable[ControlMessageBase]]] = {}
+        self._at: int | None = None  # the number of the question that is being answered
         self._answering = False
 
     async def ask(self, number: int, question: ControlMessageBase) -> T:
@@ -78,7 +92,7 @@ class Questions(Generic[T]):
         """
         asked = self._asked.get(number)
         if asked is None:
-            asked = self._asked[number] = _Asked(asyncio.get_running_loop().create_future())
+            asked = self._asked[number] = _Asked(question, asyncio.get_running_loop().create_future())
         if asked.to_send:
             asked.to_send = False
             self._link.send(question)
@@ -109,9 +123,13 @@ class Questions(Generic[T]):
         """Answer the peer's question after its earlier ones.
 
         An answer costs more than a question: a question that is repeated before its answer is answered once, and too
-        many waiting questions are ignored.
+        many waiting questions are ignored. Answers wait until there have been fewer in the last second.
         """
-        if number in self._to_answer or len(self._to_answer) >= QUESTIONS_KEPT:
+        if number in self._to_answer:
+            return
+        if self._newest_counts:
+            self._to_answer = {at: each for at, each in self._to_answer.items() if at == self._at}
+        elif len(self._to_answer) >= QUESTIONS_KEPT:
             return
         self._to_answer[number] = find
         if not self._answering:
@@ -121,14 +139,31 @@ class Questions(Generic[T]):
     async def _answer(self) -> None:
         try:
             while self._to_answer:
+                now = self._link.context.now()
+                if not self._allowance.take(1, now):
+                    await asyncio.sleep((1 - self._allowance.left(now)) / self._a_second + NOT_TOO_EARLY)
+                    continue
                 number, find = next(iter(self._to_answer.items()))
+                self._at = number
                 message = await find()
                 if self._to_answer.get(number) is find:  # otherwise the question's connection is over
                     del self._to_answer[number]
                     self._link.send(message)
         finally:
             self._to_answer.clear()
+            self._at = None
             self._answering = False
+
+    def suspend(self) -> None:
+        """Answer none of the peer's questions: it asks again on the next connection."""
+        self._to_answer.clear()
+
+    def resume(self) -> None:
+        """Ask again what has no answer."""
+        for asked in self._asked.values():
+            if asked.askers:
+                asked.to_send = False
+                self._link.send(asked.question)
 
     def disconnected(self) -> None:
         """Fail all questions, and answer none: the connection is over."""
@@ -147,6 +182,12 @@ class TypeQuestions(Extension):
         self._known = link.context.descriptions
         self.messages = {AskType: self._asked, TypeText: self._answered}
         self._questions: Questions[bytes] = Questions(link, _ANSWERED_WITHIN)
+
+    def suspend(self) -> None:
+        self._questions.suspend()
+
+    def resume(self) -> None:
+        self._questions.resume()
 
     def disconnected(self) -> None:
         self._questions.disconnected()
@@ -232,7 +273,15 @@ class TopicLists(Extension):
         self._link = link
         self._request = 0  # the number of the last question
         self.messages = {ListTopics: self._asked, TopicList: self._answered}
-        self._questions: Questions[tuple[TopicEntry, ...]] = Questions(link, _LISTED_WITHIN)
+        self._questions: Questions[tuple[TopicEntry, ...]] = Questions(
+            link, _LISTED_WITHIN, a_second=_LISTS_A_SECOND, newest_counts=True
+        )
+
+    def suspend(self) -> None:
+        self._questions.suspend()
+
+    def resume(self) -> None:
+        self._questions.resume()
 
     def disconnected(self) -> None:
         self._questions.disconnected()

@@ -246,6 +246,7 @@ class Receiver:
         self.check.end()
 
     def resume(self) -> None:
+        self._last_report = None
         self.flow.flows_since = self.route.context.now()  # what waited for the link is not late
         self.flow.silence.rearm(self.flow.flows_since)  # nor is its topic silent
 

@@ -360,6 +360,7 @@ class Sender:
         self.backlog.begin(self.counts.dropped[OUTAGE])
 
     def resume(self) -> None:
+        self._last_report = None
         self.path.resume()
         self.health.losses.reset()  # the link was silent before it was away: what it dropped then is no overload
 

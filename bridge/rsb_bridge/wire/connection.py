@@ -74,7 +74,7 @@ class _Control(SealedStream):
         """Seal a control message.
 
         Returns:
-            The bytes to write; what `data_to_send` still held comes first.
+            As `send_encoded`.
 
         Raises:
             ValueError: the message is longer than a control frame may be.
@@ -84,6 +84,17 @@ class _Control(SealedStream):
         if len(content) > _LONGEST_CONTENT:
             kind = type(message).__name__
             raise ValueError(Misuse.CONTROL_MESSAGE_TOO_LONG(message=kind, length=len(content), limit=CONTROL_LIMIT))
+        return self.send_encoded(content)
+
+    def send_encoded(self, content: bytes) -> bytes:
+        """Seal a control message as it was encoded.
+
+        Returns:
+            The bytes to write; what `data_to_send` still held comes first.
+
+        Raises:
+            RuntimeError: the connection was never `Established`.
+        """
         self._outbox += self._seal(content)
         return self.data_to_send()
 

@@ -493,5 +493,7 @@ ControlMessage: TypeAlias = (
     | EditAnswer | Limit | Pause | Arm | Armed | Disarm | AskForArming | AskEnded | Settled | Lease | Ping | Pong
     | Report | Receipts | ListTopics | TopicList | AskType | TypeText | Follow | Followed | Duplicate | Shutdown
 )  # fmt: skip
-OF_CONNECTION = (Ping, Pong, Receipts, Lease, Duplicate, Shutdown)
-"""Messages that mean nothing on another connection than their own."""
+OF_CONNECTION = (
+    Ping, Pong, Receipts, Lease, Duplicate, Shutdown, Report, ListTopics, TopicList, AskType, TypeText,
+)  # fmt: skip
+"""Messages that mean nothing on another connection than their own, or that are asked for or sent anew there."""

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, ClassVar
 from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.ros.ros_interface import Request, RosError
-from rsb_bridge.route.calls.call_frames import CallsOutbox, from_wrong_side
+from rsb_bridge.route.calls.call_frames import APART, CallsOutbox, Spacing, from_wrong_side
 from rsb_bridge.route.calls.calls_ledger import refused_as
 from rsb_bridge.route.calls.manual_call import CallError, ManualCall
 from rsb_bridge.route.calls.pending_calls import PendingCall, PendingCalls
@@ -22,7 +22,7 @@ from rsb_bridge.wire.headers import CallFrame, What, frame_size
 from rsb_bridge.wire.protocol_error import ProtocolError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from rsb_bridge.model.calls import GoalSnapshot
     from rsb_bridge.ros.ros_interface import ServiceServer
@@ -30,6 +30,11 @@ if TYPE_CHECKING:
     from rsb_bridge.route.calls.goals import Goals
     from rsb_bridge.route.calls.lane_types import LaneTypes
     from rsb_bridge.wire.records import CallsReport
+
+_TIMER_LATE = 0.002
+"""s. Spaces answers of 100 Hz, too: of those 5 ms apart, the slack of messages lets ten come at once."""
+_CAUGHT_UP_IN = 0.1
+"""Part of the timeout in which answers of any gap come about: later calls wait behind them. A round figure."""
 
 
 @dataclass(slots=True)
@@ -51,16 +56,23 @@ class CallerCalls(PendingCalls[CallerCall]):
     """Calls that wait for answers of the other side, numbered as they are sent.
 
     Attributes:
-        last: number of the newest one in the present opening.
+        last: number of the newest one.
+        before: number of the newest one of earlier openings: those up to it wait to be sent again.
     """
 
-    last = 0
+    last = before = 0
 
     def begin(self, call: CallerCall, timeout: float | None) -> int:
         """Number a call, which expires after `timeout` s, or never if that is None."""
         self.last += 1
         self.add(self.last, call, timeout)
         return self.last
+
+    def begin_again(self, number: int, timeout: float | None) -> int:
+        """Give a call of an earlier opening a number of the present one, and its whole timeout."""
+        call = self._calls.pop(number)  # it keeps its place in the budget
+        call.expires = False
+        return self.begin(call, timeout)
 
     def end_by(self, frame: CallFrame) -> CallerCall | None:
         """End the call that a frame is about, and return it, or None if it has ended before.
@@ -71,6 +83,8 @@ class CallerCalls(PendingCalls[CallerCall]):
         call = self.get(frame.call)
         if call is None and not 0 < frame.call <= self.last:
             raise ProtocolError(f"an answer to call {frame.call}, which was never made")
+        if frame.call <= self.before:  # its opening is about to end
+            return None
         if call is not None and call.lane != frame.lane:
             raise ProtocolError(f"call {frame.call} is answered on lane {frame.lane}, not {call.lane}")
         return self.end(frame.call)
@@ -99,6 +113,10 @@ class CallerKind:
 
     def begins(self, call: CallerCall, payload: bytes) -> None:
         """Note a caller's call that is about to be sent."""
+
+    def repeats(self, call: CallerCall) -> bool:
+        """Return whether a call may be sent again after its opening has ended: it does no harm twice."""
+        return False
 
     def refused(self, lane: int, server: ServiceServer | ManualCall, caller: bytes, request: bytes) -> None:
         """Handle a request that did not reach its server, and will not."""
@@ -155,6 +173,7 @@ class AskedCalls:
         self.outbox = CallsOutbox(flow, self._leaves)
         self.pending = CallerCalls(route.context.loop, route.peer.budget.asked, self._expired, self.outbox.forget)
         self.kind = kind(flow, self.pending)
+        self._spacing = Spacing(_TIMER_LATE)
         self._rate = CallRateGate(0.0, route.context.now())
         compose_when_switched(route, self._compose_gates)
 
@@ -234,13 +253,23 @@ class AskedCalls:
         try:
             return await manual.answered
         except asyncio.CancelledError:
-            # Each opening numbers its calls from 1: the number may be another call's by now.
-            if (call := self.pending.get(number)) is not None and call.server is manual:
-                self.pending.end(number)
+            if self.pending.end(number) is not None:
                 flow.failures.lost(1, "the operator who made it has gone")
             raise
 
     # --- from the channel to ROS
+
+    def due(self, frame: CallFrame) -> float | None:
+        """Return when (s) to answer a caller, or None if that is now.
+
+        An answer that the way has held up keeps its distance from the one before, as if the way took no time.
+        """
+        if (call := self.pending.get(frame.call)) is None:
+            return None
+        now, without_way = self._route.context.now(), call.asked_at + frame.took / 1e9
+        if (late := now - without_way) < APART:
+            return None
+        return self._spacing.wait(int(without_way * 1e9), now, min(0.5, _CAUGHT_UP_IN * self._flow.call_timeout / late))
 
     def receive(self, frame: CallFrame, *, readable: bool = True) -> None:
         """Take what the other side says of a call."""
@@ -300,15 +329,40 @@ class AskedCalls:
         flow.failures.say(f"a call had no answer within {flow.call_timeout:g} s")
         self._unanswered(call, f"{flow.calls.last_failure}; {_landed(number, flow.report)}")
 
+    def give_up(self, why: str) -> None:
+        """Give up the calls of the present opening, for a reason in words."""
+        self._give_up([each for each in self.pending.items() if each[0] > self.pending.before], why)
+
     def give_up_all(self, why: str) -> None:
         """Give up all calls, for a reason in words."""
-        calls = self.pending.clear()
+        self._give_up(self.pending.items(), why)
+
+    def _give_up(self, calls: Sequence[tuple[int, CallerCall]], why: str) -> None:
         for number, call in calls:
+            self.pending.end(number)
             self._unanswered(call, f"no answer: {why}; {_landed(number, self._flow.report)}")
+        if not len(self.pending):
+            self.pending.clear()  # with the timer
         self._flow.failures.lost(len(calls), why)
 
     def close(self, reason: str) -> None:
-        """End the opening: its calls are lost, and the next one numbers its calls from 1."""
-        self.give_up_all(reason)
+        """End the opening. While the association lasts, calls that may be sent again wait for the next one."""
+        peer, pending = self._route.peer, self.pending
+        lasts = peer.linked or peer.suspended_since is not None
+        self._give_up([each for each in pending.items() if not (lasts and self.kind.repeats(each[1]))], reason)
+        pending.before = pending.last
         self.outbox.clear()
-        self.pending.last = 0
+        if len(pending):
+            pending.suspend()
+
+    def send_again(self, servers: Mapping[int, ServiceServer]) -> None:
+        """Send the calls of earlier openings whose lanes have servers again."""
+        pending = self.pending
+        waiting = [(number, call) for number, call in pending.items() if number <= pending.before]
+        for number, call in waiting:
+            if (server := servers.get(call.lane)) is not None:
+                pending.resume()
+                call.server = server
+                new = pending.begin_again(number, self._flow.timeout_of(call.lane))
+                self.outbox.put(CallFrame(What.CALL, call.lane, new, 0, call.request))
+        self.outbox.flush()

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 _FRAMES_AT_ONCE = 32
 """Frames of one batch. A round figure: long ones are bounded by `batch_bytes`."""
 _OF_CALLS = (What.CALL, What.ANSWER)
-_APART = 0.05
+APART = 0.05
 """s that messages are kept apart at most: a node that takes nothing for ten times as long loses some. At a load average
 of 20, some of 50 were lost in 3 of 4 runs with 4 ms, and in one run of the whole suite with 20 ms."""
 _ZSTD_LEVEL = 3
@@ -45,6 +45,9 @@ _KEPT_STILL = 1000
 the lane's depth, the newest. A round figure."""
 _MESSAGE_BYTES = 32 << 20
 """Bytes of messages that wait, over all lanes. A round figure."""
+
+_SPACED_BYTES = 16 << 20
+"""Bytes that wait at most to be kept apart: more than `message_check.BACKLOG_LIMIT` end the opening. A round figure."""
 
 
 class CallsOutbox:
@@ -159,23 +162,32 @@ class CallsOutbox:
 
 
 class Spacing:
-    """Keeps messages and results apart that come at once after a gap, in half of the time that was between them.
+    """Keeps messages and answers apart that come at once after a gap, in half of the time that was between them.
 
-    An action's clients keep ten messages of feedback, and DDS overwrites older ones, acknowledged or not. Nothing tells
-    what a client has taken. rclpy's ignore feedback once they have the result, so later frames wait for earlier ones.
+    A node's clients keep ten messages of feedback and ten answers, and DDS overwrites older ones, acknowledged or not.
+    Nothing tells what a client has taken. rclpy's ignore feedback once they have the result, so later frames wait for
+    earlier ones.
+
+    Args:
+        slack: s that one may come earlier than its distance after one that was late.
     """
 
-    def __init__(self) -> None:
-        self._stamp = 0  # ns, of the last message
+    def __init__(self, slack: float = APART) -> None:
+        self._slack = slack
+        self._stamp = 0  # ns, of the last one
         self._due = float("-inf")  # s, when that was due
 
-    def wait(self, stamp: int, now: float) -> float | None:
-        """Return when a message may be published (s), or None if that is now."""
-        due = self._due + max(0.0, min(_APART, (stamp - self._stamp) / 2e9))
+    def wait(self, stamp: int, now: float, part: float = 0.5) -> float | None:
+        """Return when one may be published (s), or None if that is now.
+
+        Args:
+            part: of the time between it and the last one, to be kept.
+        """
+        due = self._due + max(0.0, min(APART, (stamp - self._stamp) * part / 1e9))
         if due > now:
             return due
         # Timers are late by up to 1 ms, which must not add up.
-        self._stamp, self._due = stamp, max(due, now - _APART)
+        self._stamp, self._due = stamp, max(due, now - self._slack)
         return None
 
 
@@ -194,6 +206,13 @@ class TakesFrames(Protocol):
         """
 
 
+class TakesCalls(TakesFrames, Protocol):
+    """A taker of frames about calls."""
+
+    def due(self, frame: CallFrame) -> float | None:
+        """Return when (s) an answer may be passed on that comes now, or None if that is now."""
+
+
 class CallFrames:
     """Takes frames as they come: unpacks them, and keeps those apart that must not reach a node at once.
 
@@ -203,7 +222,7 @@ class CallFrames:
         messages: takes messages of lanes that are topics.
     """
 
-    def __init__(self, flow: CallsFlow, outbox: CallsOutbox, calls: TakesFrames, messages: TakesFrames) -> None:
+    def __init__(self, flow: CallsFlow, outbox: CallsOutbox, calls: TakesCalls, messages: TakesFrames) -> None:
         self._route = route = flow.route
         self._members, self._outbox, self._calls, self._messages = flow.members, outbox, calls, messages
         # Later frames wait behind one that is not unpacked yet.
@@ -220,24 +239,29 @@ class CallFrames:
             self._unpacker.wait(messages)
             return
         route.losses.arrived()
-        messages, opening = iter(messages), route.id
+        messages, opening = tuple(messages), route.id
         try:
-            for message in messages:
+            for at, message in enumerate(messages):
                 if route.id != opening:
                     return  # an earlier frame has ended the opening
                 frame = self._frame_of(message)
                 is_message = frame.what is What.MESSAGE
-                # Not requests: a cancel would wait behind them.
-                spaced = is_message or (frame.what is What.ANSWER and self._members[frame.lane].patient)
-                if spaced and (due := self._spacing.wait(message[1], route.context.now())) is not None:
+                due = None  # requests come at once: a cancel would wait behind them
+                if is_message or (frame.what is What.ANSWER and self._members[frame.lane].patient):
+                    due = self._spacing.wait(message[1], route.context.now())
+                elif frame.what is What.ANSWER:
+                    due = self._calls.due(frame)
+                if due is not None and sum([len(each[0]) for each in messages[at:]]) < _SPACED_BYTES:
                     route.context.loop.call_at(due, self._unpacker.go_on)
-                    self._unpacker.wait((message, *messages))
-                elif not message[2] & ZSTD:
+                    self._unpacker.wait(messages[at:])
+                    break
+                if not message[2] & ZSTD:
                     (self._messages if is_message else self._calls).receive(frame)
                 elif self._unpacker.begin((frame.content, *message[1:])):
                     self._take_packed(frame)
                 else:
-                    self._unpacker.wait((message, *messages))
+                    self._unpacker.wait(messages[at:])
+                    break
         except (ProtocolError, zstandard.ZstdError) as error:
             route.request_reopen(EventCode.ROUTE_CALLS_BROKEN, f"the peer broke the format: {error}", Level.ERROR)
         self._outbox.flush()

@@ -70,20 +70,20 @@ class Caller(CallsHalf):
         self.offer.proceed()
 
     def close(self, reason: str) -> None:
-        """End the opening; pending calls are lost."""
+        """End the opening, and with it the calls that cannot be sent again."""
         self.offer.close()
         self.under_way.close(reason)
         self._frames.clear()
 
     def destroy(self) -> None:
-        """Close what is open in ROS."""
+        """Close what is open in ROS, and give up the calls that wait for another opening."""
         self.offer.withdraw()
+        self.under_way.give_up_all("it was removed")
 
     def disarm(self) -> None:
         """Let nothing more cross in this opening, not even the answers to pending calls."""
         self.offer.withdraw()
-        self.under_way.give_up_all("it was disarmed")
-        self.under_way.outbox.clear()
+        self.under_way.close("it was disarmed")
 
     def act(self, now: float, crossing: Crossing) -> None:
         self.kind.act(now)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, ClassVar
 
 from rsb_bridge.model.by_hand import END_NONE, more_careful_end
-from rsb_bridge.model.calls import GET_RESULT, SEND_GOAL
+from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.route.calls.asked_calls import CallerKind
 from rsb_bridge.route.calls.goals import Goals, goal_of, rejection_of
@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from rsb_bridge.route.calls.calls_flow import CallsFlow
     from rsb_bridge.route.calls.manual_call import ManualCall
     from rsb_bridge.wire.headers import CallFrame
+
+_ALL_GOALS = bytes(16)
+"""In the place of a cancelled goal's id."""
 
 
 class CallerGoals(CallerKind):
@@ -44,6 +47,10 @@ class CallerGoals(CallerKind):
         call.request = payload
         if call.lane == SEND_GOAL and (goal := goal_of(payload)) is not None:
             self.goals.asked(goal)
+
+    def repeats(self, call: CallerCall) -> bool:
+        # A goal may begin once only, and a late cancel of all goals would end some that have begun since.
+        return call.lane in (CANCEL_GOAL, GET_RESULT) and goal_of(call.request) not in (None, _ALL_GOALS)
 
     def refused(self, lane: int, server: ServiceServer | ManualCall, caller: bytes, request: bytes) -> None:
         """Answer that a goal is not accepted: it did not begin, and will not."""

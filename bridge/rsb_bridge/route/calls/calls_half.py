@@ -68,6 +68,7 @@ class CallsHalf:
 
     def resume(self) -> None:
         """Let calls expire again, in the time that was left for each."""
+        self._last_report = None
         self.under_way.pending.resume()
 
     def lapse(self) -> None:

@@ -223,6 +223,9 @@ class ProvidedCalls:
         call.waits = client.is_busy
         client.in_turn(frame.call, partial(self._call, frame, call))
 
+    def due(self, frame: CallFrame) -> float | None:
+        return None
+
     def _refusal(self, frame: CallFrame) -> Refused | None:
         """Return the reason why a call is not made, or take its place in the link's budget and return None."""
         limited = self._flow.members[frame.lane].limited

@@ -218,6 +218,7 @@ class ServiceOffer:
             lanes.open(entries, reach | self._owed())
             self.reach = reach
             self._log(was_offered)
+            self.calls.send_again({lane: each.server for lane, each in lanes.services.items()})
             for topic in lanes.open_topics(entries):
                 if topic.lane in self._kept:
                     topic.publish(self._kept[topic.lane])
@@ -248,12 +249,12 @@ class ServiceOffer:
         self.lanes.failed(f"cannot be offered here: {error}")
 
     def _end(self) -> None:
-        """Withdraw the offer, and give up pending calls."""
+        """Withdraw the offer, and give up the calls that were asked since the opening began."""
         if self.reach:
             was_offered = self.offered
             self.withdraw()
             self._log(was_offered)
-        self.calls.give_up_all("it is no longer offered")
+        self.calls.give_up("it is no longer offered")
 
     def withdraw(self) -> None:
         """Close everything by which callers see that it can be reached."""
