@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import subprocess
 import sys
 from pathlib import Path
 from xml.etree import ElementTree
@@ -24,6 +25,31 @@ for line in open("/proc/self/maps"):
         print("segment", end - begin)
 node.destroy_node()
 rclpy.shutdown()
+"""
+
+_READER = """
+import sys, time, rclpy
+from std_msgs.msg import String
+rclpy.init(domain_id=int(sys.argv[1]))
+node = rclpy.create_node("reader")
+subscription = node.create_subscription(String, "/asked", lambda _: None, 10)
+print("ready", flush=True)
+sys.stdin.read()
+"""
+_WRITER = """
+import sys, time, rclpy
+from rclpy.duration import Duration
+from std_msgs.msg import String
+rclpy.init(domain_id=int(sys.argv[1]))
+node = rclpy.create_node("writer")
+publisher = node.create_publisher(String, "/asked", 10)
+while not publisher.get_subscription_count():
+    time.sleep(0.01)
+for number in range(4):
+    began = time.monotonic()
+    publisher.publish(String(data="message"))
+    publisher.wait_for_all_acked(Duration(seconds=10))
+    print("took", time.monotonic() - began)
 """
 
 
@@ -48,3 +74,18 @@ def test_fast_dds_takes_the_profile(spare_domains: int) -> None:
     assert not [line for line in own_lines(ran.stderr) if "Error" in line]
     segments = [int(line.split()[1]) for line in ran.stdout.splitlines() if line.startswith("segment ")]
     assert 0.9 * _SEGMENT < max(segments) < 1.1 * _SEGMENT
+
+
+def test_subscriptions_are_asked_soon(spare_domains: int) -> None:
+    """By Fast DDS's default, each 3 s what they lack."""
+    environ = os.environ | {memory.profile_variable(os.environ): str(_HISTORIES), "RMW_FASTRTPS_USE_QOS_FROM_XML": "1"}
+    command = [sys.executable, "-c", _READER, str(spare_domains)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as reader:
+        assert reader.stdin is not None
+        assert reader.stdout is not None
+        assert reader.stdout.readline() == b"ready\n"
+        ran = captured(sys.executable, "-c", _WRITER, str(spare_domains), env=environ, check=True)
+        reader.stdin.close()
+    # The first one may wait for discovery.
+    took = [float(line.split()[1]) for line in ran.stdout.splitlines() if line.startswith("took ")]
+    assert min(took[1:]) < 1.5

@@ -563,6 +563,26 @@ def test_live_messages_cross_at_once_at_any_rate(rate: float, publishers: int, l
         assert world.route.offered == world.route.sent == count
 
 
+@pytest.mark.parametrize("rate", [10, 50, 200])
+@pytest.mark.parametrize("depth", [5, 20, 100])
+def test_beginning_is_heard_in_order(rate: int, depth: int) -> None:
+    """The subscriber starts with its publisher: it takes seconds to discover the first publishers here."""
+    with virtual_loop() as loop:
+        world = World(loop, 1)
+        world.far.asks_after = 0.1
+        world.far.discovery = lambda: max(0.1, 4.0 - loop.time())
+        world.wait(1)
+        writer = world.near.new_writer(depth)
+        world.wait(0.1)
+        for _ in range(8 * rate):
+            world.near.publish(writer)
+            world.wait(1 / rate)
+        world.wait(2)
+        heard = [int(content.rpartition(b" ")[2]) for content in world.far.heard]
+        assert heard == list(range(1, 8 * rate + 1))
+        assert world.far.late_joiner() == world.near_late_joiner()
+
+
 @pytest.mark.parametrize("rate", [25, 200])
 def test_late_acknowledgements_hold_message_up_half_second(rate: int) -> None:
     """DDS asks for them every 3 s, until a publisher overwrites what it has published."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
@@ -221,12 +222,20 @@ def test_a_message_without_a_channel_is_lost(world: World) -> None:
 
 
 @pytest.mark.parametrize("world", [{"qos": 2}], indirect=True)
-def test_drops_of_silent_link_count_as_outage(world: World) -> None:
+@pytest.mark.parametrize(
+    ("in_doubt", "still", "quiet", "cause"),
+    [(True, 0.0, 0.0, "outage"), (False, 0.4, 0.4, "outage"), (False, 0.4, 0.1, "queue full")],
+)
+def test_drops_of_silent_link_count_as_outage(
+    in_doubt: bool, still: float, quiet: float, cause: str, world: World
+) -> None:
+    """Also in a gap that is over before the connection is doubted."""
     world.peer.channel.congested = True
     publish(world, 3)
-    world.peer.keepalive = SimpleNamespace(in_doubt=True)
+    world.peer.channel.stood_still = still
+    world.peer.keepalive = SimpleNamespace(in_doubt=in_doubt, quiet=quiet)
     publish(world, 5)
-    assert world.ledger.dropped == {"queue full": 1, "outage": 5}
+    assert Counter(world.ledger.dropped) == Counter(["queue full", *[cause] * 5])
     assert world.sender.facts.ledger.waiting == 2
 
 

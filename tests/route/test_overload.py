@@ -38,7 +38,10 @@ def outbox(qos: Qos | None = None, *, own: Qos | None = None) -> Outbox:
         arming=SimpleNamespace(required=False),
         age=SimpleNamespace(only_newest=False),
         peer=SimpleNamespace(
-            profile=NO_PROFILE, linked=True, budget=PeerBudget(0.0), keepalive=SimpleNamespace(in_doubt=False)
+            profile=NO_PROFILE,
+            linked=True,
+            budget=PeerBudget(0.0),
+            keepalive=SimpleNamespace(quiet=0.0, in_doubt=False),
         ),
     )
     route.route = route

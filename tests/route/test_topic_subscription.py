@@ -10,6 +10,7 @@ import pytest
 from tests.support.offline import FakePeer
 
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.keep import Keep
 from rsb_bridge.model.qos import Qos, auto_depth
 from rsb_bridge.ros.publication_numbers import Untaken
 from rsb_bridge.ros.ros_interface import Liveliness, TopicSpec
@@ -77,6 +78,7 @@ class Owner:
         self.events: list[EventCode] = []
         self.peer = FakePeer()
         self.arming = SimpleNamespace(required=False)
+        self.proposal = SimpleNamespace(keep=None)
         self.notices = SimpleNamespace(record=lambda text: None)
         self.context: Any = None
         self.ends: Any = None
@@ -111,6 +113,50 @@ def make_subscription(
 )
 def test_auto_keeps_five_seconds_within_bounds(rate: float | None, mean_size: float, depth: int) -> None:
     assert auto_depth(rate, mean_size) == depth
+
+
+@pytest.mark.parametrize(
+    ("keep", "rate", "mean_size", "depth"),
+    [
+        (Keep(180.0), None, 0.0, 10_000),
+        (Keep(180.0), 20.0, 100.0, 3600),
+        (Keep(180.0), 100.0, 100.0, 10_000),
+        (Keep(1.0), 100.0, 100.0, 500),
+        (Keep(180.0), 100.0, 32_768.0, 1024),
+        (Keep(180.0, megabytes=100.0), 100.0, 100_000.0, 1000),
+    ],
+)
+def test_depth_covers_what_is_kept(
+    keep: Keep, rate: float | None, mean_size: float, depth: int, make_context: Callable[..., Context]
+) -> None:
+    """All of it comes at once when the bridge goes on after it stood still."""
+    assert auto_depth(rate, mean_size, keep) == depth
+    if not mean_size:
+        ros, owner = FakeRos(), Owner()
+        owner.proposal.keep = keep
+        make_subscription(make_context(ros), owner, Qos(), automatic=True, expected_rate=rate)
+        owner.arming.required, owner.arming.lease = True, None  # such topics keep nothing
+        make_subscription(make_context(ros), owner, Qos(), automatic=True, expected_rate=rate)
+        assert [each.qos.depth for each in ros.made] == [depth, 500]
+
+
+@pytest.mark.parametrize(
+    ("qos", "automatic"),
+    [
+        (Qos(durability="transient_local", depth=0), True),
+        (Qos(history="keep_all", depth=0), True),
+        (Qos(history="keep_all", depth=0), False),
+        (Qos(depth=0), False),
+    ],
+)
+def test_losses_reopen_nothing_that_gets_no_deeper(
+    qos: Qos, automatic: bool, make_context: Callable[..., Context]
+) -> None:
+    ros, owner = FakeRos(), Owner()
+    subscription = make_subscription(make_context(ros), owner, qos, automatic=automatic)
+    subscription.numbers.lose(7)
+    subscription.tick()
+    assert (len(ros.made), owner.events) == (1, [])
 
 
 def test_losses_deepen_subscription_of_busy_topic(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:

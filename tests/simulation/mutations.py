@@ -351,7 +351,7 @@ MUTATIONS = (
     Mutation("kept messages are dropped when the link is back",
              ((Outbox, "resume", _drop_half),), "was to be kept", KEEPING, 1, 0.5),
     Mutation("handled control messages are not counted",
-             ((LinkSession, "handles", nothing),), "nobody caught", _OUTLIVES, 1, 0.5),
+             ((LinkSession, "handles", nothing),), "broke the format", _OUTLIVES, 1, 0.5),
     Mutation("routes over datagrams stay with the last connection",
              ((DatagramEnd, "resume", nothing),), "nobody caught", _OUTLIVES, 3, 0.2),
     Mutation("lost datagrams are not sent again",

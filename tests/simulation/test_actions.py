@@ -280,7 +280,7 @@ async def test_server_that_is_replaced_unseen_leaves_nothing_behind(provider: st
     await court.goal(runs=1.0)  # the server reports that it has no other goals
 
 
-@pytest.mark.parametrize("seed", [1, *long(2, 3, 4, 5, 6)])
+@pytest.mark.parametrize("seed", [1, 2, *long(3, 4, 5, 6)])
 def test_nothing_is_left_over_after_course_of_faults(seed: int) -> None:
     """Links drop, bridges and servers are killed, at either end, while goals are sent, and cancelled, all the time."""
     court = Court(SIDES[seed % 2], seed, timeout=(None, 5.0)[seed // 2 % 2])

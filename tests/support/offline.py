@@ -80,7 +80,7 @@ class FakePeer:
     name = "robot1"
     is_client = True
     linked = True
-    keepalive: Any = SimpleNamespace(ping_delay=0.0, ping_wait=0.0, in_doubt=False)
+    keepalive: Any = SimpleNamespace(ping_delay=0.0, ping_wait=0.0, quiet=0.0, in_doubt=False)
     down_reason = ""
     suspended_since = None
     connections = 1

@@ -8,7 +8,7 @@ import stat
 import tempfile
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, TextIO
+from typing import IO, TYPE_CHECKING, Final, TextIO
 
 from rsb_bridge.config.folder_owner import acting_in_folder, folder_owner
 from rsb_bridge.model.text import several_lines
@@ -208,6 +208,36 @@ def new_file(path: Path, newline: str | None = None, *, owner: Path | None = Non
             yield file
     except BaseException:  # of the caller, too: half a file would refuse the next try
         remove_file(path)
+        raise
+
+
+UNFINISHED: Final = ".part"
+"""The end of the name that a file has until it is whole; it begins with a dot."""
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[IO[bytes]]:
+    """A file that is not there yet, mode 0600, and gets its name once it is whole; where writing it fails, it is gone.
+
+    If this process is killed meanwhile, a part stays that no program takes for the file.
+
+    Raises:
+        OSError: it is there or being written, or it cannot be written.
+    """
+    part = path.with_name(f".{path.name}{UNFINISHED}")
+    handle = owner_only(str(part), os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            # Not before: as long as the part is there, no other process gives a file this name.
+            if is_there(path):
+                raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
+            yield file
+            file.flush()
+            os.fsync(handle)  # else the name may outlive a loss of power, and the content not
+        with acting_in_folder(path):
+            part.rename(path)
+    except BaseException:  # of the caller, too: half a file is of no use
+        remove_file(part)
         raise
 
 

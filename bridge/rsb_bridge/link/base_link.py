@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from rsb_bridge.link.control_channel import Slices
     from rsb_bridge.link.data_channels import DataChannels
     from rsb_bridge.link.keepalive import ChannelCarrier
-    from rsb_bridge.link.link_session import KeptMessage
+    from rsb_bridge.link.link_session import UnhandledMessage
     from rsb_bridge.model.session import Kind
     from rsb_bridge.model.transports import LinkProfile
     from rsb_bridge.route.peer import LinkPath, LinkRates
@@ -322,7 +322,7 @@ class BaseLink(ABC):
             self._resume(again)
         return control
 
-    def _join_session(self, control: ControlChannel, event: Established) -> Sequence[KeptMessage] | None:
+    def _join_session(self, control: ControlChannel, event: Established) -> Sequence[UnhandledMessage] | None:
         """Resume the session, and return what the peer lacks of it; or begin a new one, and return None."""
         session, again = self.session, None
         if session is not None and session.resumes(event):
@@ -344,7 +344,7 @@ class BaseLink(ABC):
         self.extensions.suspend()
         channels.suspend(reason)
 
-    def _resume(self, again: Sequence[KeptMessage]) -> None:
+    def _resume(self, again: Sequence[UnhandledMessage]) -> None:
         """Send what the peer has not handled on the last connection, and have the link's parts resume."""
         for message in again:
             if message.proposes:

@@ -30,7 +30,7 @@ MOST_KEPT, MOST_BYTES = 16_384, 8 * CONTROL_LIMIT
 NEVER_HANDLED = "the peer takes control messages and handles none: more wait than it may have"
 
 
-class KeptMessage(NamedTuple):
+class UnhandledMessage(NamedTuple):
     """A control message that the peer may not have handled.
 
     Attributes:
@@ -62,7 +62,7 @@ class LinkSession:
         self.handled = 0
         self.is_over = False
         self._acknowledged = 0
-        self._waiting: deque[KeptMessage] = deque()
+        self._waiting: deque[UnhandledMessage] = deque()
         self._bytes = 0  # of these
         self._ends: asyncio.TimerHandle | None = None
 
@@ -82,7 +82,7 @@ class LinkSession:
         self._ends = ends
         self.channels.suspend(reason)
 
-    def resume(self, control: ControlChannel, event: Established) -> Sequence[KeptMessage]:
+    def resume(self, control: ControlChannel, event: Established) -> Sequence[UnhandledMessage]:
         """Resume on another connection, and return what the peer lacks."""
         self._stop_waiting()
         again = tuple(self._waiting)
@@ -109,7 +109,7 @@ class LinkSession:
         """Keep a message, which is being sent or waits for a connection, until the peer has handled it."""
         if self.is_over or isinstance(message, OF_CONNECTION):
             return
-        self._waiting.append(KeptMessage(encode(message), message.route if isinstance(message, Propose) else 0))
+        self._waiting.append(UnhandledMessage(encode(message), message.route if isinstance(message, Propose) else 0))
         self._bytes += len(self._waiting[-1].content)
         if len(self._waiting) > MOST_KEPT or self._bytes > MOST_BYTES:
             self.is_over = True

@@ -33,11 +33,13 @@ _NAMES = (
 """Last parts of names."""
 
 
-def _any_of(patterns: Iterable[str]) -> re.Pattern[str]:
-    return re.compile("|".join(map(translate, patterns)))
+def _last_part(patterns: Iterable[str]) -> re.Pattern[str]:
+    """Return what matches a name whose last part, behind any ``/``, is one of the patterns."""
+    parts = [translate(each).replace(".*", "[^/]*") for each in patterns]
+    return re.compile(f"(?:.*/)?(?:{'|'.join(parts)})")
 
 
-_IS_TYPE, _IS_NAME = _any_of(_TYPES), _any_of(_NAMES)
+_IS_TYPE, _IS_NAME = _last_part(_TYPES), _last_part(_NAMES)
 NAMES_OF_MOTION: Final = ("/cmd_vel", "/joint_trajectory", "/joint_command", "/joy", "/controller/commands")
 """Usual names of topics that move a robot."""
 
@@ -50,6 +52,4 @@ def may_move(type_name: str, *names: str) -> bool:
         type_name: ``pkg/msg/Name`` or ``Name``, or an empty string or ``auto`` while it is unknown.
         names: of the topic, on either side.
     """
-    if _IS_TYPE.match(type_name.rpartition("/")[2]):
-        return True
-    return any(_IS_NAME.match(each.rpartition("/")[2]) for each in names)
+    return any((_IS_TYPE.match(type_name), *map(_IS_NAME.match, names)))

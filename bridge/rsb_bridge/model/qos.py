@@ -9,11 +9,14 @@ from typing import TYPE_CHECKING, Literal
 
 import msgspec
 
+from rsb_bridge.model.keep import KEEP_BUDGET
 from rsb_bridge.model.limits import DEPTH, QOS_TIME
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    from rsb_bridge.model.keep import Keep
 
 Reliability = Literal["reliable", "best_effort"]
 Durability = Literal["volatile", "transient_local"]
@@ -180,20 +183,25 @@ def parts_of_lease(seconds: float, publishers: int = 1) -> float:
     return max(seconds / 3, publishers * _ASSERTED_EVERY)
 
 
-def auto_depth(rate: float | None, mean_size: float) -> int:
+def auto_depth(rate: float | None, mean_size: float, keep: Keep | None = None) -> int:
     """Return the depth that ``auto`` means on a volatile topic: as many messages as it brings in `AUTO_SECONDS`.
 
     Args:
         rate: Hz, or None if it is not yet measured.
         mean_size: bytes of a message, or 0 if it is not yet measured.
+        keep: the promise to keep more than that, or None. Its seconds and bytes count then, and without a rate the
+            most: a deeper subscription later would miss messages while it is made.
 
     Returns:
-        At least 10, at most 10,000 messages, and no more than 32 MiB where that is more than 10.
+        At least 10, at most 10,000 messages, and no more than 32 MiB or the bytes to keep where that is more than 10.
     """
     if rate is None:
-        return _DEPTH_AT_FIRST
-    most = min(_MOST_AUTO, QUEUE_BYTES / mean_size) if mean_size else _MOST_AUTO
-    return int(max(AUTO_DEPTH, min(rate * AUTO_SECONDS, most)))
+        return _DEPTH_AT_FIRST if keep is None else _MOST_AUTO
+    seconds, size = AUTO_SECONDS, QUEUE_BYTES
+    if keep is not None:
+        seconds, size = max(seconds, keep.seconds), keep.own_bytes or KEEP_BUDGET
+    most = min(_MOST_AUTO, size / mean_size) if mean_size else _MOST_AUTO
+    return int(max(AUTO_DEPTH, min(rate * seconds, most)))
 
 
 def clamp_qos(qos: Qos) -> Qos:

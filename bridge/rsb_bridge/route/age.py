@@ -14,7 +14,7 @@ from collections import Counter, deque
 from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.model.clock import shifted
-from rsb_bridge.model.demands import effective_max_age, smallest_max_age
+from rsb_bridge.model.demands import default_max_age, smallest_max_age
 from rsb_bridge.model.motion import LATEST
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause, Verdict
@@ -139,7 +139,7 @@ class MessageAge:
             moves: whether its messages may move a robot, and are not kept.
         """
         stated = smallest_max_age(demands)
-        self.max_age = effective_max_age((stated,), armed=armed)
+        self.max_age = default_max_age(stated, armed=armed) or 0.0
         self.only_newest = moves and stated != 0.0
         self._lifespan, self._latest = lifespan, LATEST if moves and stated is None else 0.0
         self._limit = min(filter(None, (self.max_age, lifespan, self._latest)), default=0.0)

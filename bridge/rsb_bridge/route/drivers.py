@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import defaultdict, deque
 from math import isfinite
 from typing import TYPE_CHECKING, Any
 
@@ -38,8 +38,10 @@ class Drivers:
         self._route, self._carried = route, carried
         self.here: tuple[Driver, ...] = ()
         self.there: tuple[Driver, ...] = ()
-        self._counts: Counter[bytes] = Counter()  # messages since the last tick, by publisher
-        self._ticks: deque[tuple[Counter[bytes], float]] = deque(maxlen=_TICKS)  # those before, and how long each took
+        self._counts: defaultdict[bytes, int] = defaultdict(int)  # messages since the last tick, by publisher
+        self._ticks: deque[tuple[defaultdict[bytes, int], float]] = deque(
+            maxlen=_TICKS
+        )  # those before, and how long each took
         self._ticked = route.context.now()
 
     @property
@@ -98,14 +100,15 @@ class Drivers:
 
     def count(self, batch: Sequence[RawMessage]) -> None:
         """Count messages that the route takes."""
-        self._counts.update([each.gid for each in batch])
+        for each in batch:
+            self._counts[each.gid] += 1
 
     def tick(self, now: float) -> None:
         """End a tick at `now` (s). Called once a second unless the route is idle."""
         if (elapsed := now - self._ticked) <= 0.0:
             return
         self._ticks.append((self._counts, elapsed))
-        self._counts, self._ticked = Counter(), now
+        self._counts, self._ticked = defaultdict(int), now
 
     def rested(self, until: float) -> None:
         """Take over that nothing came until `until` (s)."""
@@ -115,7 +118,7 @@ class Drivers:
     def _rate(self, gid: bytes) -> float:
         took = sum([elapsed for _, elapsed in self._ticks])
         # Rounded, as each report to the other side that differs is sent.
-        return round(sum([counts[gid] for counts, _ in self._ticks]) / took, 1) if took else 0.0
+        return round(sum([counts.get(gid, 0) for counts, _ in self._ticks]) / took, 1) if took else 0.0
 
 
 def _plausible(rate: float | None) -> float | None:

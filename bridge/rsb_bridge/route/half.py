@@ -41,11 +41,10 @@ class Carried(Generic[ChannelT]):
         channel: of the present opening, or None until it has one.
     """
 
-    def __init__(self) -> None:
-        self.type_name = self.type_hash = ""
-        self.endpoints: Sequence[Endpoint] = ()
-        self.may_move = False
-        self.channel: ChannelT | None = None
+    type_name = type_hash = ""
+    endpoints: Sequence[Endpoint] = ()
+    may_move = False
+    channel: ChannelT | None = None
 
     def end(self, reason: str) -> None:
         """Close the channel, as the opening ends."""

@@ -81,8 +81,8 @@ class IncomingPath:
         self._catch_up = CatchUp()
         self.unpacker = Unpacker(route.peer.budget.expansion, route.context, self.deliver, route.request_reopen)
         self.outputs = SourcePublishers(route, self.unpacker)
-        flow.tap_changed = self.choose_pace
-        self.choose_pace()
+        flow.tap_changed = self.choose_publish
+        self.choose_publish()
         compose_when_switched(route, self._compose_gates)
         self.received = 0
         self.report_at = REPORTS_AFTER
@@ -117,7 +117,10 @@ class IncomingPath:
         return self.flow.is_latched or self._gates != _NO_GATES
 
     def _publish_one_by_one(self, messages: Sequence[Message], now: int, began: float) -> None:
-        """Publish messages as `_publish`, of which the last of those that it gets is shown: here each."""
+        """Publish messages for a tap: `_publish` shows only the last of those that it gets, and a tap must see each.
+
+        If one has to wait, as `_publish` may find, those behind it queue up.
+        """
         for at, message in enumerate(messages):
             self._publish((message,), now, began)
             if self.unpacker.holds:
@@ -304,6 +307,6 @@ class IncomingPath:
         batch, arriving, leaving = incoming_gates(self.route)
         self._gates = chained(batch), chained(arriving), chained(leaving)
 
-    def choose_pace(self) -> None:
-        # Here, so that without a tap no message is asked for it.
+    def choose_publish(self) -> None:
+        """Publish each message by itself while there is a tap: chosen here, so that no message is asked for one."""
         self._hand_on = self._publish if self.flow.peek_slot.tap is None else self._publish_one_by_one

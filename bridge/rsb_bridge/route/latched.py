@@ -384,13 +384,13 @@ class LatchedTopic:
         last = history.last
         if last is None or (last is output and (output.discovered or self._overwrites_nothing(output, now))):
             return True
-        # DDS here knows the subscribers of a new publisher at once, but they may not know it yet, and would miss what
-        # it overwrites meanwhile. Before it does, they are asked for acknowledgements every 3 s only.
-        may_lose = not last.discovered and last.published >= last.depth
+        # DDS here knows the subscribers of a new publisher at once, but they may not know it yet. They would miss what
+        # it overwrites meanwhile, and hear its messages after those of the next publisher that they discover.
         acknowledged = last.publisher.acknowledged
-        if not acknowledged and now - last.used_at < (_DISCOVERED_WITHIN if may_lose else _ACKNOWLEDGED_WITHIN):
+        limit = _ACKNOWLEDGED_WITHIN if last.discovered else _DISCOVERED_WITHIN
+        if not acknowledged and now - last.used_at < limit:
             return False
-        last.discovered = last.discovered or acknowledged or may_lose
+        last.discovered = True
         return True
 
     @staticmethod

@@ -28,21 +28,28 @@ class LeftOut:
         is_on: whether its messages may not be late.
     """
 
-    def __init__(self, log: Callable[[Level, EventCode, str], None]) -> None:
-        self._log = log
-        self.is_on = False
-        self._told = self._count = 0
-        self._since = self._grew_at = 0.0
+    is_on = False
+    _told = _count = 0
+    _since = _grew_at = 0.0
 
     @property
     def is_due(self) -> bool:
         """Whether there are some that nobody was told of."""
         return self._count > self._told
 
-    def judge(self, ledger: Ledger, now: float, *, counts: bool, linked: bool) -> None:
+    def judge(
+        self,
+        ledger: Ledger,
+        now: float,
+        log: Callable[[Level, EventCode, str], None],
+        *,
+        counts: bool,
+        linked: bool,
+    ) -> None:
         """Look at a ledger, once a second.
 
         Args:
+            log: logs an event about its route.
             counts: whether the topic's messages may not be late.
             linked: whether the link carries: until then, more may be left out.
         """
@@ -58,7 +65,7 @@ class LeftOut:
         if not self.is_due or not linked or (now - self._grew_at < _SETTLED and now - self._since < _LONGEST):
             return
         left_out, self._told = count - self._told, count
-        self._log(
+        log(
             Level.WARNING,
             EventCode.ROUTE_COMMANDS_LEFT_OUT,
             f"{left_out:,} late commands left out; max_age: none would have them followed",

@@ -66,7 +66,8 @@ class Listeners:
     def look_without_publisher(self) -> None:
         """Find the type that the subscriptions have, while nothing is published here, and who else drives."""
         self.hint = type_hint(self._route.ends, self._route.remote_topic)
-        self._look_for_drivers()
+        if self._flow.carried.may_move or self._route.arming.required or self.further:
+            self._look_for_drivers()
 
     def look(self) -> None:
         """Find the subscriptions of what is published here, unless they are the same ones, most likely."""

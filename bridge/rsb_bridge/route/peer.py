@@ -44,6 +44,9 @@ class PeerPings(Protocol):
     def ping_wait(self) -> float: ...
 
     @property
+    def quiet(self) -> float: ...
+
+    @property
     def in_doubt(self) -> bool: ...
 
 

@@ -113,7 +113,7 @@ class Receiver:
         self.path.unpacker.clear()
         self._alive = False
         self.outputs.set_alive(False)
-        self.flow.drivers.told(())
+        self.flow.drivers.there = ()
 
     def described(self, description: Describe) -> None:
         """Make the publishers for the messages that the sender describes, or refuse the route."""

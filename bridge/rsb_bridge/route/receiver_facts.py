@@ -41,7 +41,7 @@ class ReceiverFacts(TopicFacts):
     large_vanish = False
 
     def __init__(self, flow: TopicFlow, end: AgreedEnd, path: IncomingPath, listeners: Listeners) -> None:
-        super().__init__(flow, end)
+        self.route, self.flow, self.carried, self._end = flow.route, flow, flow.carried, end
         self.listeners, self._path = listeners, path
         self.report: SentReport | None = None
         self.report_now: SentReport | None = None

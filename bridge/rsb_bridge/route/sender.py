@@ -277,7 +277,7 @@ class Sender:
         self.loop_filter.clear()
         self.counts.closed()
         self.facts.forget()
-        self.flow.drivers.told(())
+        self.flow.drivers.there = ()
         self.flow.audience = NOBODY
 
     # --- messages

@@ -65,7 +65,7 @@ class SenderFacts(TopicFacts):
         resolver: Resolver,
         health: Health,
     ) -> None:
-        super().__init__(flow, end)
+        self.route, self.flow, self._end = flow.route, flow, end
         self.carried: Carried[SendingChannel] = flow.carried
         self.health, self.backlog = health, backlog
         self._counts, self._loop_filter, self._path = counts, loop_filter, path

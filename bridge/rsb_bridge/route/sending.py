@@ -312,14 +312,20 @@ class Outbox:
         if self._keep is not None:
             self._ledger.drop(OUTAGE, old)
             self._ledger.drop(KEEP_FULL, beyond)
-        # A connection that may be dead carries nothing either, though it takes seconds until it is given up.
-        elif self._backlog.exists or self._route.peer.keepalive.in_doubt:
+        elif self._backlog.exists or self._is_silent(now):
             self._ledger.drop(OUTAGE, old + beyond)
         elif self._route.age.only_newest:
             self._ledger.drop(REPLACED, old + beyond)
         else:
             self._ledger.drop("queue full", old + beyond)
             self._overload.dropped(now)
+
+    def _is_silent(self, now: float) -> bool:
+        """Whether the link carries nothing at `now` (s), though it takes seconds until its connection is given up."""
+        keepalive, channel = self._route.peer.keepalive, self._carried.channel
+        # Neither a full link nor a slow one is without receipts and all other bytes for so long.
+        still = 0.0 if channel is None else min(channel.still(now), keepalive.quiet)
+        return keepalive.in_doubt or still > STANDS_STILL
 
     def flush(self, channel: SendingChannel, now: float) -> None:
         """Send while the channel takes messages, at `now` (s)."""

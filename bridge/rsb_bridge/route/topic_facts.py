@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import Ledger, RouteSnapshot
     from rsb_bridge.route.crossing import Crossing
     from rsb_bridge.route.half import Carried
+    from rsb_bridge.route.route import Route
     from rsb_bridge.route.topic_flow import AgreedEnd, TopicFlow
 
 _UNUSUAL = frozenset({Cause.LATE, *LOSS_CAUSES, *EXPIRES})
@@ -26,9 +27,10 @@ _UNUSUAL = frozenset({Cause.LATE, *LOSS_CAUSES, *EXPIRES})
 class TopicFacts(ABC):
     """The knowledge of one half of a topic."""
 
-    def __init__(self, flow: TopicFlow, end: AgreedEnd) -> None:
-        self.route, self.flow, self._end = flow.route, flow, end
-        self.carried: Carried[Any] = flow.carried
+    route: Route
+    flow: TopicFlow
+    carried: Carried[Any]
+    _end: AgreedEnd
 
     # --- answers that only one of the halves knows
 

@@ -107,25 +107,6 @@ class SilenceWatch:
         return self.watch.quiet_since + self.watch.after if self.watch.after else math.inf
 
 
-class TapSource:
-    """The type and the QoS of the messages that a tap gets, as they are now."""
-
-    def __init__(self, flow: TopicFlow) -> None:
-        self._flow = flow
-
-    @property
-    def qos(self) -> Qos | None:
-        return self._flow.qos
-
-    @property
-    def type_name(self) -> str:
-        return self._flow.carried.type_name
-
-    @property
-    def type_hash(self) -> str:
-        return self._flow.carried.type_hash
-
-
 class AgreedEnd:
     """What the receiving side publishes once an arming ends, as both sides' sessions want it."""
 
@@ -188,16 +169,24 @@ class TopicFlow:
         self.latency = LatencyMeter(_LATENCY_TICKS)
         self.silence = SilenceWatch(self.route.log, context.now())
         self.lateness = LateWatch()
-        self.left_out = LeftOut(route.log)
+        self.left_out = LeftOut()
         self.flows_since = context.now()
         self.full_at: float | None = None
         self.silence.configure(route.spec, context.session)  # a route that is made is awake
         self.peek_slot = PeekSlot(self._new_tap())
         self.tap_changed: Callable[[], None] = lambda: None
 
+    @property
+    def type_name(self) -> str:
+        return self.carried.type_name
+
+    @property
+    def type_hash(self) -> str:
+        return self.carried.type_hash
+
     def _new_tap(self) -> Tap | None:
         route = self.route
-        return route.context.tap_of(route.local_topic, TapSource(self)) if route.purpose.in_graph else None
+        return route.context.tap_of(route.local_topic, self) if route.purpose.in_graph else None
 
     def renew_tap(self) -> None:
         """Give all messages to another tap from now on, or to none: `Context.tap_of` has changed."""
@@ -275,7 +264,7 @@ class TopicFlow:
         """Tell of commands that were left out; called once a second while they may be."""
         route = self.route
         linked = route.peer.linked and not route.peer.keepalive.in_doubt
-        self.left_out.judge(ledger, now, counts=route.age.only_newest, linked=linked)
+        self.left_out.judge(ledger, now, route.log, counts=route.age.only_newest, linked=linked)
 
     def act(self, now: float, *, awaited: bool) -> None:
         """Do what follows from the new verdict."""

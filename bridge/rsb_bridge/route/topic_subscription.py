@@ -41,8 +41,8 @@ _MATCHED_WITHIN = 2  # ticks: DDS matches a publisher that it lists within milli
 class TopicSubscription:
     """A route's subscription, begun again with each opening. It hands all messages to `OutgoingPath`, on the I/O loop.
 
-    With ``qos: auto`` the depth on a volatile topic follows the topic's rate. On a latched topic messages come with
-    what their publishers keep for late joiners, and none that the peer has.
+    With ``qos: auto`` the depth on a volatile topic follows the topic's rate, and its `keep`. On a latched topic
+    messages come with what their publishers keep for late joiners, and none that the peer has.
 
     Args:
         path: gets the messages; after `close` it drops messages that are still in the ROS queue.
@@ -198,20 +198,29 @@ class TopicSubscription:
         self._lost_seen = self._lost
         before, depth = self._depth, self._qos().depth
         # Only then: a new subscription of a volatile topic misses what is published until DDS has matched it.
-        if depth >= 2 * before:
+        if self._is_deepened and depth >= 2 * before:
             text = f"DDS lost messages: the subscription gets a depth of {depth:,} instead of {before:,}"
             self._route.log(Level.INFO, EventCode.ROUTE_DEEPENED, text)
             self._subscription.reopen()
+
+    @property
+    def _is_deepened(self) -> bool:
+        """Whether the depth is chosen here: neither an operator has, nor are all messages kept anyway."""
+        qos = self.spec.qos if self.spec is not None else None
+        return self._automatic and qos is not None and not qos.latched and qos.history != "keep_all"
 
     def _qos(self) -> Qos:
         assert self.spec is not None
         qos, meter = self.spec.qos, self._route.meter
         if qos.latched:
             return msgspec.structs.replace(qos, history="keep_all")  # each publisher keeps what it keeps
-        if not self._automatic:
+        if not self._is_deepened:
             return qos
         rate = meter.usual_rate or meter.rate or self._expected_rate or None
-        return msgspec.structs.replace(qos, depth=auto_depth(rate, meter.bytes / meter.count if meter.count else 0.0))
+        # A bridge that stood still gets all at once, and what it promised to keep must not be lost then.
+        keep = None if self._route.arming.required else self._route.proposal.keep
+        size = meter.bytes / meter.count if meter.count else 0.0
+        return msgspec.structs.replace(qos, depth=auto_depth(rate, size, keep))
 
     def _subscribe(self, on_failure: OnFailure | None) -> Subscription:
         if self.histories is not None:

@@ -192,9 +192,9 @@ class Audit:
     def _disordered(self) -> int:
         """Count the messages that came after one that their sender sent later. Equal ones have no order."""
         return self._one(
-            "SELECT count(*) FROM (SELECT source, max(source) OVER (PARTITION BY sender ORDER BY sink, source"
+            "SELECT count(*) FROM (SELECT sent, max(sent) OVER (PARTITION BY sender ORDER BY came, sent"
             " ROWS BETWEEN UNBOUNDED PRECEDING AND 1 PRECEDING) AS latest FROM pair WHERE NOT alike)"
-            " WHERE source < latest"
+            " WHERE sent < latest"
         )
 
     def _latched_value(self, *, one_value: bool) -> LatchedValue:

@@ -21,15 +21,16 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
 _PIECE = 200_000  # equal messages that are compared at once: some 40 MB
-_TABLES = {"pair": "sender, source, sink, alike", "missing": "time, alike", "surplus": "time, sent, alike"}
+_TABLES = {"pair": "sender, source, sink, alike, sent, came", "missing": "time, alike", "surplus": "time, sent, alike"}
 """Tables of one topic's matches: messages that crossed, those that did not come, and those that came without one that
-was sent. `alike` is 0 for a message that no other equals, `_IN_ORDER` or `_NEWEST` for others."""
+was sent. `sent` and `came` are the turns of `rsb_extras.audit.recorded.view`, in `surplus` `sent` is whether an equal
+message was. `alike` is 0 for a message that no other equals, `_IN_ORDER` or `_NEWEST` for others."""
 _IN_ORDER, _NEWEST = 1, 2
 _BEFORE = 1_000_000_000
 """ns by which a message may come before it was sent, by clocks that were set meanwhile. A round figure."""
 _EQUAL_BEFORE = 20_000_000  # the same for one of several equal messages, of which another may be meant
-_Row: TypeAlias = tuple[int, int, int, int, int]
-"""Key, time, sender, whether it is of the receiving side, and its place among equal ones."""
+_Row: TypeAlias = tuple[int, int, int, int, int, int]
+"""Key, time, sender, whether it is of the receiving side, its place among equal ones, and its turn."""
 
 
 def match_messages(database: sqlite3.Connection, tolerance: int, *, is_latched: bool) -> tuple[int, int]:
@@ -46,8 +47,8 @@ def match_messages(database: sqlite3.Connection, tolerance: int, *, is_latched: 
         database.execute(f"DROP TABLE IF EXISTS {table}")
         database.execute(f"CREATE TABLE {table} ({columns})")
     rows = database.execute(
-        "SELECT key, time, sender, 0 AS came, time AS place FROM source"
-        " UNION ALL SELECT key, time, sender, 1, time + ? FROM sink ORDER BY key, place, came",
+        "SELECT key, time, sender, 0 AS came, time AS place, turn FROM source"
+        " UNION ALL SELECT key, time, sender, 1, time + ?, turn FROM sink ORDER BY key, place, came",
         (tolerance,),
     )
     matches = _Matches(database, is_latched=is_latched)
@@ -65,7 +66,7 @@ class _Matches:
         self.by_order = 0
         self._database = database
         self._is_latched = is_latched
-        self._pair: list[tuple[int, int, int, int]] = []
+        self._pair: list[tuple[int, int, int, int, int, int]] = []
         self._missing: list[tuple[int, int]] = []
         self._surplus: list[tuple[int, bool, int]] = []
 
@@ -111,7 +112,7 @@ class _Matches:
 
     def _cross(self, pairs: Iterable[tuple[_Row, _Row]], *, alike: int) -> None:
         before = len(self._pair)
-        self._pair += [(source[2], source[1], sink[1], alike) for source, sink in pairs]
+        self._pair += [(source[2], source[1], sink[1], alike, source[5], sink[5]) for source, sink in pairs]
         self.matched += len(self._pair) - before
         if alike:
             self.by_order += len(self._pair) - before

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 _HEAD, _MESSAGE = struct.Struct("<BQ"), struct.Struct("<HIQQ")
 _MAGIC = b"\x89MCAP0\r\n"
 _SCHEMA, _CHANNEL, _IS_MESSAGE, _CHUNK, _DATA_END = 3, 4, 5, 6, 15  # opcodes of records
+_SET_BACK = 500_000_000  # ns, above what writers may mix up. A round figure
+_MOST_SHIFT = 1 << 60  # ns, which the database still adds to any time
 _LATEST = (1 << 62) - 1  # ns; later times of a damaged file would not fit into the database when compared
 _LONGEST = 1 << 30
 """Bytes of one record, chunks included. A round figure: rosbag2 writes chunks of less than 1 MB, and a message is at
@@ -72,8 +74,10 @@ class TopicRows:
     """The messages of a topic in one recording.
 
     Attributes:
-        table: of the database, with `key`, `time` (ns) and `sender` of each message.
+        table: of the database, with `key`, `time` (ns) and `sender` of each message, and `shift`: ns by which the clock
+            was set back before it, as far as the topic's own messages show it.
         messages: number of them.
+        latest, shift: of its last message.
         senders: numbers of the publishers, by what the recording calls them; rosbag2 tells none apart.
         offers: QoS of the publishers of each sender.
     """
@@ -82,6 +86,8 @@ class TopicRows:
     type_name: str
     table: str
     messages: int = 0
+    latest: int = 0
+    shift: int = 0
     senders: dict[str, int] = field(default_factory=dict)
     offers: dict[str, list[Offer]] = field(default_factory=dict)
 
@@ -290,7 +296,7 @@ class _Rows:
         self._recording = recording
         self._side = side
         self._database = database
-        self._held: dict[str, list[tuple[int, int, int]]] = {}
+        self._held: dict[str, list[tuple[int, int, int, int]]] = {}
         self._count = 0
         self.begin_file()
 
@@ -337,7 +343,7 @@ class _Rows:
         topic = recording.topics.get((name, type_name))
         if topic is None:
             table = f"{self._side}_{len(recording.topics)}"
-            self._database.execute(f"CREATE TABLE {table} (key INTEGER, time INTEGER, sender INTEGER)")
+            self._database.execute(f"CREATE TABLE {table} (key INTEGER, time INTEGER, sender INTEGER, shift INTEGER)")
             topic = recording.topics[name, type_name] = TopicRows(name, type_name, table)
             self._held[table] = []
         publisher = record.metadata.get("publisher", "")
@@ -355,7 +361,11 @@ class _Rows:
     def _add_message(self, channel_id: int, time: int, content: memoryview) -> None:
         topic, sender, is_cdr, watch = self._channels[channel_id]
         time = min(time, _LATEST)
-        self._held[topic.table].append((content_key(content, is_cdr=is_cdr), time, sender))
+        # A recorder writes a topic's messages as they come, so that an earlier time means that its clock was set.
+        if time < topic.latest - _SET_BACK:
+            topic.shift = min(topic.shift + topic.latest - time, _MOST_SHIFT)
+        topic.latest = time
+        self._held[topic.table].append((content_key(content, is_cdr=is_cdr), time, sender, topic.shift))
         topic.messages += 1
         recording = self._recording
         recording.first = min(recording.first, time) if recording.messages else time
@@ -378,7 +388,9 @@ def view(database: sqlite3.Connection, **views: tuple[TopicRows, int]) -> None:
     """Give tables of topics, with an offset of their times, the names that queries have."""
     for name, (topic, offset) in views.items():
         database.execute(f"DROP VIEW IF EXISTS {name}")
-        rows = f"SELECT key, time - {offset} AS time, sender FROM {topic.table}"  # noqa: S608 -- names of our own
+        # `turn` has the order in which they were recorded, also where the clock was set back.
+        columns = f"key, time - {offset} AS time, sender, time - {offset} + shift AS turn"
+        rows = f"SELECT {columns} FROM {topic.table}"  # noqa: S608 -- names of our own
         database.execute(f"CREATE TEMP VIEW {name} AS {rows}")
 
 

@@ -8,12 +8,13 @@ import threading
 from contextlib import suppress
 from datetime import datetime
 from enum import StrEnum
+from itertools import chain
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from msgspec.structs import replace
 
 from rsb_bridge.cdr.description import DescriptionError
-from rsb_bridge.config.files import make_folder, why_not_written
+from rsb_bridge.config.files import UNFINISHED, make_folder, remove_file, why_not_written
 from rsb_bridge.config.state_folder import state_folder
 from rsb_bridge.engine.part import EnginePart
 from rsb_bridge.link.extension import LinkError
@@ -45,6 +46,8 @@ FOLDER_SIZE = 2 << 30
 figure."""
 _NAMES = 100
 """Files of one second: a round figure. Another one is refused."""
+_LEFT_AFTER = 3600.0
+"""s in which nothing was written to an unfinished file until it is removed. A round figure: all take seconds."""
 _BREATH_AFTER, _BREATH = 64 << 10, 0.0005
 """Bytes that are written before the thread lets others run, and for how long (s): without, the loop stood still for
 5 ms at a time."""
@@ -200,7 +203,9 @@ class Keeping(EnginePart):
     ) -> KeptRecording:
         """Write a file, on a thread."""
         make_folder(folder, 0o700)
-        if (size := sum(each.stat().st_size for each in folder.glob("*.mcap"))) > FOLDER_SIZE:
+        _remove_unfinished(folder, self._context.wall())
+        parts, files = folder.glob(f".*{UNFINISHED}"), folder.glob("*.mcap")
+        if (size := sum(each.stat().st_size for each in chain(parts, files))) > FOLDER_SIZE:
             raise LinkError(KeepProblem.FOLDER_FULL(folder=folder, size=size / 1e9))
         path = _free_path(folder, stem)
         with new_recording(path) as recording:
@@ -228,6 +233,14 @@ class Keeping(EnginePart):
                     if self._stopping.wait(_BREATH):
                         raise LinkError(KeepProblem.STOPPED())
         return last
+
+
+def _remove_unfinished(folder: Path, wall: float) -> None:
+    """Remove what bridges left that were killed while they wrote, at `wall` (s since the epoch)."""
+    for part in folder.glob(f".*{UNFINISHED}"):
+        with suppress(FileNotFoundError):  # another bridge has finished it
+            if wall - part.stat().st_mtime > _LEFT_AFTER:
+                remove_file(part)
 
 
 def _free_path(folder: Path, stem: str) -> Path:

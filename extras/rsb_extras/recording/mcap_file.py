@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-import os
 from typing import IO, TYPE_CHECKING, Any, NamedTuple
 
 import yaml
 
-from rsb_bridge.config.files import owner_only, remove_file
+from rsb_bridge.config.files import whole_file
 from rsb_bridge.model.qos import TIMES
 from rsb_bridge.model.wording import Wording
 from rsb_extras.recording.message_definition import message_definition
@@ -132,18 +131,13 @@ def qos_profiles(qos: Qos) -> str:
 
 @contextlib.contextmanager
 def new_recording(path: Path) -> Iterator[McapFile]:
-    """A recording in a file that is not there yet, mode 0600; where writing it fails, it is not there either.
+    """A recording in a file that is not there yet (`rsb_bridge.config.files.whole_file`).
 
     Raises:
         McapError: MCAP's library is not installed.
         OSError: the file is there, or it cannot be written.
     """
-    handle = owner_only(str(path), os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC)
-    try:
-        with os.fdopen(handle, "wb") as file:
-            recording = McapFile(file)
-            yield recording
-            recording.finish()
-    except BaseException:  # of the caller, too: half a recording is of no use
-        remove_file(path)
-        raise
+    with whole_file(path) as file:
+        recording = McapFile(file)
+        yield recording
+        recording.finish()

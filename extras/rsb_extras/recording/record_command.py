@@ -13,7 +13,7 @@ from typing import IO, TYPE_CHECKING
 from msgspec.structs import asdict, replace
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.config.files import owner_only, remove_file, typed_path, why_not_written
+from rsb_bridge.config.files import typed_path, whole_file, why_not_written
 from rsb_bridge.config.state_folder import searched_folders
 from rsb_bridge.model.wording import Wording
 from rsb_console.command.target import UsageError, attached, done, result
@@ -76,13 +76,8 @@ def _move(source: Path, uid: int, target: Path) -> None:
     """
     try:
         with _opened(source, uid) as (folder, file):
-            handle = owner_only(str(target), os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC)
-            try:
-                with os.fdopen(handle, "wb") as copy:
-                    shutil.copyfileobj(file, copy)
-            except BaseException:
-                remove_file(target)
-                raise
+            with whole_file(target) as copy:
+                shutil.copyfileobj(file, copy)
             if os.geteuid():  # root may do more than the bridge's user, and that user may have changed the name's file
                 os.unlink(source.name, dir_fd=folder)
     except OSError as error:

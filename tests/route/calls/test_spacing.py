@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+from random import Random
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
@@ -158,3 +159,13 @@ def test_long_answers_of_a_gap_do_not_wait(make_context: Callable[..., Context],
     assert len(client.got) == 60 - 15
     loop.run_until_complete(asyncio.sleep(3.0))
     assert len(client.got) == 60
+
+
+def test_answers_in_any_order_take_no_longer(make_context: Callable[..., Context], loop: VirtualLoop) -> None:
+    client = Client(make_context, loop, kind="service")
+    answers = client.asked_at(loop.time() + number / 100 for number in range(600))
+    loop.run_until_complete(asyncio.sleep(6.0))
+    Random(1).shuffle(answers)
+    client.half.deliver([(each.pack(), 0, 0) for each in answers])
+    loop.run_until_complete(asyncio.sleep(3.1))
+    assert len(client.got) == 600

@@ -165,6 +165,7 @@ class AskedCalls:
         pending: those that wait for answers.
         outbox: their frames, until the channel takes them.
         kind: follows them.
+        lost: those that may be asked again, and whose server has gone since the last tick.
     """
 
     def __init__(self, flow: CallsFlow, types: LaneTypes, kind: type[CallerKind]) -> None:
@@ -173,7 +174,9 @@ class AskedCalls:
         self.outbox = CallsOutbox(flow, self._leaves)
         self.pending = CallerCalls(route.context.loop, route.peer.budget.asked, self._expired, self.outbox.forget)
         self.kind = kind(flow, self.pending)
+        self.lost: list[CallerCall] = []
         self._spacing = Spacing(_TIMER_LATE)
+        self._newest = 0.0  # s, latest time at which a held-up answer would have come without the way
         self._rate = CallRateGate(0.0, route.context.now())
         compose_when_switched(route, self._compose_gates)
 
@@ -209,6 +212,17 @@ class AskedCalls:
             self.kind.begins(call, payload)
             self._begin(call, payload, request.lease, request.stamp if with_age else 0)
         self.outbox.flush()
+
+    def ask_next(self, servers: Mapping[int, ServiceServer]) -> None:
+        """Ask the next server what one that has gone did not answer; called once a second.
+
+        Callers cannot see that another one is there: the bridge's own endpoint stays.
+        """
+        lost, self.lost = self.lost, []
+        for call in lost:
+            if (server := servers.get(call.lane)) is not None:
+                request = Request(call.request, call.caller, self._route.context.stamps.now())
+                self.asked(call.lane, server, [request])
 
     def asked_too_late(self, requests: Sequence[Request]) -> None:
         """Count requests that were on their way from ROS when the offer ended."""
@@ -269,7 +283,11 @@ class AskedCalls:
         now, without_way = self._route.context.now(), call.asked_at + frame.took / 1e9
         if (late := now - without_way) < APART:
             return None
-        return self._spacing.wait(int(without_way * 1e9), now, min(0.5, _CAUGHT_UP_IN * self._flow.call_timeout / late))
+        # Else each answer out of turn would add to the time of all.
+        self._newest = max(self._newest, without_way)
+        return self._spacing.wait(
+            int(self._newest * 1e9), now, min(0.5, _CAUGHT_UP_IN * self._flow.call_timeout / late)
+        )
 
     def receive(self, frame: CallFrame, *, readable: bool = True) -> None:
         """Take what the other side says of a call."""
@@ -316,6 +334,8 @@ class AskedCalls:
         self._unanswered(call, self._flow.failures.refused(why))
         if why is not Refused.LOST:  # else its server may have acted on it
             self.kind.refused(call.lane, call.server, call.caller, call.request)
+        elif self.kind.repeats(call) and not isinstance(call.server, ManualCall):
+            self.lost.append(call)
 
     def _unanswered(self, call: CallerCall, reason: str) -> None:
         """Tell an operator that no answer to a call will come. ROS has no way to tell other callers."""
@@ -351,6 +371,7 @@ class AskedCalls:
         lasts = peer.linked or peer.suspended_since is not None
         self._give_up([each for each in pending.items() if not (lasts and self.kind.repeats(each[1]))], reason)
         pending.before = pending.last
+        self.lost.clear()
         self.outbox.clear()
         if len(pending):
             pending.suspend()

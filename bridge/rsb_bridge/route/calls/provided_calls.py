@@ -346,9 +346,13 @@ class ProvidedCalls:
         self._refuse(CallFrame(What.REFUSED, call.lane, peers, 0, b""), why)
 
     def give_up_orphans(self) -> None:
-        """Give up the calls of which all servers have gone that may have got them."""
+        """Give up the calls of which all servers have gone that may have got them.
+
+        Of requests for a result it is enough that one has gone: callers have the next server asked.
+        """
         for number, call in self.pending.items():
-            if not call.waits and call.servers.isdisjoint(self._present):
+            is_lost = not call.servers <= self._present if call.goal else call.servers.isdisjoint(self._present)
+            if is_lost and not call.waits:
                 self._give_up(number, Refused.LOST)
 
     def give_up_all(self, why: str) -> None:

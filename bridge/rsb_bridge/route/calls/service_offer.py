@@ -273,7 +273,9 @@ class ServiceOffer:
         self._kept.clear()
 
     def act(self) -> None:
-        """Have services closed that stayed open only for answers, once nobody waits for any."""
+        """Have the next server asked, and close services that stayed open only for answers, once nobody waits."""
+        if self.calls.lost:
+            self.calls.ask_next({lane: each.server for lane, each in self.lanes.services.items()})
         open_lanes = self.lanes.services.keys()
         if self.reach and not open_lanes <= self.reach and open_lanes - self.reach - self._owed():
             self._route.advance()

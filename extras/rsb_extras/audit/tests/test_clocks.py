@@ -100,3 +100,18 @@ def test_repeated_messages_tell_no_offset(ahead: float, sides: Sides, audited: R
     for at in (5.0, 6.0):
         sides.near.add(topic, at, 1)
     assert audited().json["offset"] == pytest.approx(ahead + 0.020, abs=1e-5)
+
+
+@pytest.mark.parametrize("which", ["near", "far"])
+@pytest.mark.parametrize("back", [1.0, 3.0])
+def test_clock_set_back_disorders_nothing(which: str, back: float, sides: Sides, audited: Run) -> None:
+    """Times of messages before it and after it mix, on the side that sends or on the other one."""
+    sides.spans(15)
+    topic = sides.topic("/scan")
+    for number in range(200):
+        at = 2 + number * 0.05
+        later = {side: at - back * (number >= 100 and side == which) for side in ("near", "far")}
+        sides.near.add(topic, later["near"], number)
+        sides.far.add(topic, later["far"] + 0.02 + 0.06 * (number == 150), number)
+    found = audited()
+    assert (found["/scan"]["matched"], found["/scan"]["disordered"]) == (200, 1)

@@ -223,7 +223,9 @@ def test_folder_of_rosbag2(sides: Sides, tmp_path: Path, audited: Run) -> None:
 def test_times_that_no_clock_has(sides: Sides, audited: Run) -> None:
     sides.spans(15)
     sides.stream(sides.topic("/scan"))
-    sides.far.add(sides.far.topic("/odd"), 1.6e10, 1)  # 2^64 ns are 1.8e10 s
+    odd = sides.far.topic("/odd")
+    for number in range(20):
+        sides.far.add(odd, 1.6e10 * (number % 2), number)  # 2^64 ns are 1.8e10 s
     assert audited("--overlap")["/scan"]["matched"] == 100
 
 

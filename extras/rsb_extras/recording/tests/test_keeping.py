@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import resource
 import stat
 import sys
 import threading
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +25,7 @@ from tests.support.waiting import eventually
 from tests.support.wording import pattern
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.config.files import Shortage
+from rsb_bridge.config.files import UNFINISHED, Shortage
 from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.route.receiver import Receiver
 from rsb_bridge.route.sender import Sender
@@ -240,6 +242,21 @@ def test_recordings_fill_no_disk(talking: Engine, folder: Path) -> None:
         keep(talking)
 
 
+def test_what_killed_bridges_left_is_removed(talking: Engine, folder: Path) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    left, fresh = (folder / f".{name}.mcap{UNFINISHED}" for name in ("left", "fresh"))
+    for part in (left, fresh):
+        part.write_bytes(bytes(100))
+    os.utime(left, (0.0, 0.0))
+    keep(talking)
+    assert not left.exists()
+    assert fresh.exists()  # another bridge may be about to write it
+    with fresh.open("r+b") as file:
+        file.truncate(FOLDER_SIZE)
+    with pytest.raises(EngineError, match=pattern(KeepProblem.FOLDER_FULL, folder=folder, size=2.1)):
+        keep(talking)
+
+
 def test_one_recording_is_written_at_a_time(talking: Engine) -> None:
     futures = [talking.do(KeepLast()) for _ in range(3)]
     texts = [str(future.exception(60) or "") for future in futures]
@@ -270,7 +287,8 @@ def test_loop_sees_the_file_grow_while_a_recording_is_written(talking: Engine, f
         turn()
 
     def turn() -> None:
-        sizes.update(each.stat().st_size for each in folder.glob("*"))
+        with suppress(FileNotFoundError):  # it has just got its name
+            sizes.update(each.stat().st_size for each in folder.iterdir())
         inside(talking).context.loop.call_later(0.001, turn)
 
     inside(talking).context.call(fill)

@@ -23,6 +23,7 @@ from rsb_bridge.cdr.description import (
     hash_of_text,
     text_of,
 )
+from rsb_bridge.config.files import UNFINISHED
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.native.rosidl_descriptions import installed_description
 from rsb_bridge.ros.native.typesupport import installed_class
@@ -109,6 +110,20 @@ def test_nothing_is_overwritten(tmp_path: Path) -> None:
     assert path.read_text() == "mine"
 
 
+def test_file_has_its_name_once_it_is_whole(tmp_path: Path) -> None:
+    """Who kills the process meanwhile leaves nothing that a program takes for a recording."""
+    path = tmp_path / "one.mcap"
+    with new_recording(path) as recording:
+        recording.add(topic("std_msgs/msg/String"), content("std_msgs/msg/String"), 1, 1)
+        (part,) = tmp_path.iterdir()
+        assert part.suffix == UNFINISHED
+        assert stat.S_IMODE(part.stat().st_mode) == 0o600
+        with pytest.raises(FileExistsError), new_recording(path):
+            pass
+    assert [*tmp_path.iterdir()] == [path]
+    assert len(read_strictly(path)) == 1
+
+
 def test_half_a_recording_is_removed(tmp_path: Path) -> None:
     path = tmp_path / "one.mcap"
 
@@ -119,7 +134,7 @@ def test_half_a_recording_is_removed(tmp_path: Path) -> None:
 
     with pytest.raises(RuntimeError):
         half()
-    assert not path.exists()
+    assert not [*tmp_path.iterdir()]
 
 
 def test_missing_library_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
