@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.ros.ros_interface import Request, RosError
 from rsb_bridge.route.calls.call_frames import APART, CallsOutbox, Spacing, from_wrong_side
+from rsb_bridge.route.calls.calls_kind import CallsKind
 from rsb_bridge.route.calls.calls_ledger import refused_as
 from rsb_bridge.route.calls.manual_call import CallError, ManualCall
 from rsb_bridge.route.calls.pending_calls import PendingCall, PendingCalls
@@ -24,10 +25,8 @@ from rsb_bridge.wire.protocol_error import ProtocolError
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from rsb_bridge.model.calls import GoalSnapshot
     from rsb_bridge.ros.ros_interface import ServiceServer
     from rsb_bridge.route.calls.calls_flow import CallsFlow
-    from rsb_bridge.route.calls.goals import Goals
     from rsb_bridge.route.calls.lane_types import LaneTypes
     from rsb_bridge.wire.records import CallsReport
 
@@ -90,26 +89,11 @@ class CallerCalls(PendingCalls[CallerCall]):
         return self.end(frame.call)
 
 
-class CallerKind:
+class CallerKind(CallsKind[CallerCall]):
     """What calls do here by their kind besides passing on: nothing for a service.
 
     Goals (`caller_goals`) and parameters (`node_parameters`) replace methods.
-
-    Attributes:
-        never_idle: whether it has times of its own.
-        goals: of an action, or None.
     """
-
-    never_idle: ClassVar[bool] = False
-    goals: Goals | None = None
-
-    def __init__(self, flow: CallsFlow, pending: CallerCalls) -> None:
-        self._flow, self._route, self._pending = flow, flow.route, pending
-
-    @property
-    def on_end(self) -> str:
-        """What happens to goals once an arming ends, or an empty string for calls that are no goals."""
-        return ""
 
     def begins(self, call: CallerCall, payload: bytes) -> None:
         """Note a caller's call that is about to be sent."""
@@ -130,16 +114,6 @@ class CallerKind:
     def publishes(self, frame: CallFrame) -> bool:
         """Read a message, and return whether subscribers here get it."""
         return True
-
-    def server_gone(self) -> None:
-        """Note that there is no server any more."""
-
-    def act(self, now: float) -> None:
-        """Do what is due at `now` (s); called once a second."""
-
-    def snapshot(self) -> tuple[GoalSnapshot, ...]:
-        """Return the goals of an action; asked only if it has `goals`."""
-        return ()
 
 
 class LandedText(Wording):

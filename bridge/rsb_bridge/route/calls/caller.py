@@ -11,12 +11,8 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.calls.asked_calls import AskedCalls, CallerKind
-from rsb_bridge.route.calls.call_frames import CallFrames
 from rsb_bridge.route.calls.caller_goals import CallerGoals
-from rsb_bridge.route.calls.calls_facts import CallsFacts
-from rsb_bridge.route.calls.calls_flow import CallsFlow
 from rsb_bridge.route.calls.calls_half import CallsHalf
-from rsb_bridge.route.calls.lane_types import LaneTypes
 from rsb_bridge.route.calls.manual_call import CallError
 from rsb_bridge.route.calls.node_parameters import CallerParameters
 from rsb_bridge.route.calls.service_offer import ServiceOffer
@@ -35,24 +31,18 @@ class Caller(CallsHalf):
 
     Attributes:
         under_way: the calls of callers here.
-        kind: what they do besides, by the route's kind.
         offer: what is offered here.
     """
 
     outgoing: ClassVar[bool] = True
     under_way: AskedCalls
+    kind: CallerKind
 
     def __init__(self, route: Route) -> None:
-        self.route, self.flow = route, CallsFlow(route)
-        self.carried, self.types = self.flow.carried, LaneTypes(self.flow)
+        super().__init__(route)
         self.under_way = AskedCalls(self.flow, self.types, _KINDS[route.proposal.kind])
-        self.kind = self.under_way.kind
-        self.never_idle = self.kind.never_idle
         self.offer = ServiceOffer(self.flow, self.types, self.under_way)
-        outbox = self.under_way.outbox
-        self._frames = CallFrames(self.flow, outbox, self.under_way, self.offer)
-        self.deliver, self.flush = self._frames.deliver, outbox.flush
-        self.facts = CallsFacts(self.flow, self.types, self.offer, self.kind)
+        self._join(self.offer, messages=self.offer)
 
     def provided(self, provide: Provide) -> None:
         """Take the providing side's list of what can be called."""
@@ -68,12 +58,6 @@ class Caller(CallsHalf):
         if self.carried.channel is None:
             self.route.peer.open_channel(self.route)
         self.offer.proceed()
-
-    def close(self, reason: str) -> None:
-        """End the opening, and with it the calls that cannot be sent again."""
-        self.offer.close()
-        self.under_way.close(reason)
-        self._frames.clear()
 
     def destroy(self) -> None:
         """Close what is open in ROS, and give up the calls that wait for another opening."""

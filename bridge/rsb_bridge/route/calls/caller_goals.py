@@ -5,16 +5,14 @@ While the action is paused or disarmed, only ``send_goal`` is withdrawn: goals c
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
-from rsb_bridge.model.by_hand import END_NONE, more_careful_end
 from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.route.calls.asked_calls import CallerKind
 from rsb_bridge.route.calls.goals import Goals, goal_of, rejection_of
 
 if TYPE_CHECKING:
-    from rsb_bridge.model.calls import GoalSnapshot
     from rsb_bridge.ros.ros_interface import ServiceServer
     from rsb_bridge.route.calls.asked_calls import CallerCall, CallerCalls
     from rsb_bridge.route.calls.calls_flow import CallsFlow
@@ -26,27 +24,21 @@ _ALL_GOALS = bytes(16)
 
 
 class CallerGoals(CallerKind):
-    """Follows goals by the calls, answers and messages of an action.
+    """Follows goals by the calls, answers and messages of an action."""
 
-    Attributes:
-        goals: all that are known.
-    """
-
-    never_idle: ClassVar[bool] = True  # goals have times of their own, and a robot has few actions
     goals: Goals
 
     def __init__(self, flow: CallsFlow, pending: CallerCalls) -> None:
         super().__init__(flow, pending)
         self.goals = Goals(flow.route.context.wall)
 
-    @property
-    def on_end(self) -> str:
-        return more_careful_end((self._route.arming.own.on_end, self._route.arming.peer_on_end, END_NONE))
-
     def begins(self, call: CallerCall, payload: bytes) -> None:
         call.request = payload
-        if call.lane == SEND_GOAL and (goal := goal_of(payload)) is not None:
+        goal = goal_of(payload)
+        if call.lane == SEND_GOAL and goal is not None:
             self.goals.asked(goal)
+        elif call.lane == GET_RESULT and goal is not None:
+            call.goal = goal
 
     def repeats(self, call: CallerCall) -> bool:
         # A goal may begin once only, and a late cancel of all goals would end some that have begun since.
@@ -74,19 +66,3 @@ class CallerGoals(CallerKind):
     def publishes(self, frame: CallFrame) -> bool:
         self.goals.message(frame.lane, frame.content)
         return True
-
-    def server_gone(self) -> None:
-        self.goals.server_gone()
-
-    def act(self, now: float) -> None:
-        """Give requests for the results of goals that are over as long as other calls."""
-        for number, goal in self._awaited():
-            if self.goals.is_over(goal):
-                self._pending.limit(number, self._flow.call_timeout)
-
-    def _awaited(self) -> list[tuple[int, bytes]]:
-        calls = ((number, goal_of(call.request)) for number, call in self._pending.items() if call.lane == GET_RESULT)
-        return [(number, goal) for number, goal in calls if goal is not None]
-
-    def snapshot(self) -> tuple[GoalSnapshot, ...]:
-        return self.goals.snapshot({goal for _, goal in self._awaited()})

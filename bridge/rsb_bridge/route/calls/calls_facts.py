@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rsb_bridge.model.snapshot import Ledger
 from rsb_bridge.model.verdict import LASTING, Cause
@@ -13,11 +13,10 @@ if TYPE_CHECKING:
 
     from rsb_bridge.cdr.description import TypeVersion
     from rsb_bridge.model.snapshot import RouteSnapshot, Stage
-    from rsb_bridge.route.calls.asked_calls import CallerKind
     from rsb_bridge.route.calls.calls_flow import CallsFlow
+    from rsb_bridge.route.calls.calls_kind import CallsKind
     from rsb_bridge.route.calls.calls_verdict import CallsEnd
     from rsb_bridge.route.calls.lane_types import LaneTypes
-    from rsb_bridge.route.calls.provided_calls import ProviderKind
     from rsb_bridge.wire.records import CallsReport
 
 _NO_LEDGER = Ledger()
@@ -38,7 +37,7 @@ class CallsFacts:
     may_not_be_late = False
     lifespan = 0.0
 
-    def __init__(self, flow: CallsFlow, types: LaneTypes, end: CallsEnd, kind: CallerKind | ProviderKind) -> None:
+    def __init__(self, flow: CallsFlow, types: LaneTypes, end: CallsEnd, kind: CallsKind[Any]) -> None:
         self.route, self.calls, self.failures, self.end = flow.route, flow.calls, flow.failures, end
         self._flow, self._types, self._kind = flow, types, kind
 
@@ -100,7 +99,7 @@ class CallsFacts:
             publishers=callers,
             subscribers=providers,
             calls=self.calls.snapshot(self.end.at_node()[1]),
-            goals=() if self._kind.goals is None else self._kind.snapshot(),
+            goals=self._kind.snapshot(),
             lanes=tuple(member.name for member in self._flow.members if not member.is_topic),
         )
 

@@ -13,25 +13,23 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import msgspec
 
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.route.calls.call_frames import CallFrames
 from rsb_bridge.route.calls.calls_facts import CallsFacts, malformed_in
+from rsb_bridge.route.calls.calls_flow import CallsFlow
 from rsb_bridge.route.calls.calls_verdict import OF_CALLS
+from rsb_bridge.route.calls.lane_types import LaneTypes
 from rsb_bridge.route.combined_verdict import lasting, node_names, record_of
 from rsb_bridge.wire.records import CallsReport
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
-
-    from rsb_bridge.channel.scheduler import SendingChannel
     from rsb_bridge.route.blocking_rules import Rules
-    from rsb_bridge.route.calls.asked_calls import AskedCalls
-    from rsb_bridge.route.calls.calls_flow import CallsFlow
-    from rsb_bridge.route.calls.lane_types import LaneTypes
-    from rsb_bridge.route.calls.provided_calls import ProvidedCalls
+    from rsb_bridge.route.calls.asked_calls import AskedCalls, CallerKind
+    from rsb_bridge.route.calls.call_frames import TakesFrames
+    from rsb_bridge.route.calls.calls_verdict import CallsEnd
+    from rsb_bridge.route.calls.provided_calls import ProvidedCalls, ProviderKind
     from rsb_bridge.route.crossing import Crossing
-    from rsb_bridge.route.half import Carried
     from rsb_bridge.route.idling import Signs
     from rsb_bridge.route.route import Route
-    from rsb_bridge.wire.framing import Message
 
 
 class CallsHalf:
@@ -41,26 +39,43 @@ class CallsHalf:
         flow: the counts of its calls.
         types: of its members.
         under_way: its calls.
+        kind: what they do besides, by the route's kind.
     """
 
     peer_report: ClassVar[Any] = CallsReport
     rules: ClassVar[Rules[Any]] = OF_CALLS
     duplex: ClassVar[bool] = True
 
-    route: Route
-    flow: CallsFlow
-    carried: Carried[SendingChannel]
-    types: LaneTypes
-    facts: CallsFacts
-    deliver: Callable[[Iterable[Message]], None]
-    flush: Callable[[], None]
     under_way: AskedCalls | ProvidedCalls
+    kind: CallerKind | ProviderKind
     _last_report: CallsReport | None = None  # of the present opening
+
+    def __init__(self, route: Route) -> None:
+        self.route, self.flow = route, CallsFlow(route)
+        self.carried, self.types = self.flow.carried, LaneTypes(self.flow)
+
+    def _join(self, end: CallsEnd, messages: TakesFrames) -> None:
+        """Join the parts, once `under_way` is there.
+
+        Args:
+            messages: takes those of lanes that are topics.
+        """
+        self.kind, outbox = self.under_way.kind, self.under_way.outbox
+        self.never_idle = self.kind.never_idle
+        self._end, self._frames = end, CallFrames(self.flow, outbox, self.under_way, messages)
+        self.deliver, self.flush = self._frames.deliver, outbox.flush
+        self.facts = CallsFacts(self.flow, self.types, end, self.kind)
 
     def open(self) -> None:
         """Begin a new opening."""
         self._last_report = self.types.last_malformed = None
         self.flow.open()
+
+    def close(self, reason: str) -> None:
+        """End the opening, and with it the calls that cannot be sent again."""
+        self._end.close()
+        self.under_way.close(reason)
+        self._frames.clear()
 
     def suspend(self) -> None:
         """Let no call expire, as nobody can answer."""

@@ -86,6 +86,9 @@ class CallsEnd(Protocol):
     def progress(self) -> CallsProgress:
         """Return how far calls get, as this half knows it."""
 
+    def close(self) -> None:
+        """End the opening."""
+
 
 class JudgedCalls(JudgedHalf, Protocol):
     """One half of a route of calls, as its rules and stages read it."""

@@ -26,12 +26,14 @@ class PendingCall:
         size: bytes that it holds of the link's budget.
         asked_at: when it came, in s.
         expires: whether it has a timeout.
+        goal: that a request for a result is about, or empty.
     """
 
     lane: int
     size: int
     asked_at: float
     expires: bool = field(default=False, kw_only=True)
+    goal: bytes = field(default=b"", kw_only=True)
 
 
 C = TypeVar("C", bound=PendingCall)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.clock import shifted
@@ -16,7 +16,8 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.route.calls.call_endpoints import OpenLane, OpenLanes
 from rsb_bridge.route.calls.call_frames import CallsOutbox, from_wrong_side
-from rsb_bridge.route.calls.goals import Goals, result_request
+from rsb_bridge.route.calls.calls_kind import CallsKind
+from rsb_bridge.route.calls.goals import result_request
 from rsb_bridge.route.calls.paced_client import PacedClient
 from rsb_bridge.route.calls.pending_calls import PendingCall, PendingCalls
 from rsb_bridge.route.combined_verdict import node_names
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from contextlib import ExitStack
 
-    from rsb_bridge.model.calls import GoalSnapshot
     from rsb_bridge.ros.ros_interface import RawMessage, Response
     from rsb_bridge.route.calls.call_servers import Provision
     from rsb_bridge.route.calls.calls_flow import CallsFlow
@@ -81,25 +81,19 @@ class PeersCall(PendingCall):
         servers: ids of the servers that may have got it.
         number: of the client's call here, or 0 if it waits for its turn or for the answer to another call.
         waits: whether it waits for its turn.
-        goal: that a request for a result is about, or empty.
     """
 
     servers: set[bytes]
     number: int = 0
     waits: bool = False
-    goal: bytes = b""
 
 
-class ProviderKind:
+class ProviderKind(CallsKind[PeersCall]):
     """What calls do here by their kind besides passing on, as `asked_calls.CallerKind` in the other half.
 
     Attributes:
-        never_idle: as of the other half.
         keeps_clients: whether its clients have to stay open although nobody on the other side can call.
     """
-
-    never_idle: ClassVar[bool] = False
-    goals: Goals | None = None
 
     def __init__(
         self,
@@ -108,13 +102,8 @@ class ProviderKind:
         clients: OpenLanes[CalledService, HeardTopic],
         outbox: CallsOutbox,
     ) -> None:
-        self._flow, self._route = flow, flow.route
-        self._pending, self._clients, self._outbox = pending, clients, outbox
-
-    @property
-    def on_end(self) -> str:
-        """What happens to goals once an arming ends, or an empty string for calls that are no goals."""
-        return ""
+        super().__init__(flow, pending)
+        self._clients, self._outbox = clients, outbox
 
     @property
     def keeps_clients(self) -> bool:
@@ -145,21 +134,11 @@ class ProviderKind:
     def clients_changed(self) -> None:
         """Note that clients have closed, or others are about to open, which number their calls from the start."""
 
-    def server_gone(self) -> None:
-        """Note that there is no server any more."""
-
     def disarm(self) -> None:
         """End what began by the arming, before clients may close."""
 
     def close(self) -> None:
         """Forget what belongs to the opening."""
-
-    def act(self, now: float) -> None:
-        """Do what is due at `now` (s); called once a second."""
-
-    def snapshot(self) -> tuple[GoalSnapshot, ...]:
-        """Return the goals of an action; asked only if it has `goals`."""
-        return ()
 
 
 class ProvidedCalls:

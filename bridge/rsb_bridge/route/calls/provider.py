@@ -8,12 +8,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, ClassVar
 
 from rsb_bridge.model.calls import Refused
-from rsb_bridge.route.calls.call_frames import CallFrames
-from rsb_bridge.route.calls.calls_facts import CallsFacts
-from rsb_bridge.route.calls.calls_flow import CallsFlow
 from rsb_bridge.route.calls.calls_half import CallsHalf
 from rsb_bridge.route.calls.calls_ledger import REMEDIES
-from rsb_bridge.route.calls.lane_types import LaneTypes
 from rsb_bridge.route.calls.manual_call import CallError, call_directly
 from rsb_bridge.route.calls.node_parameters import ProviderParameters
 from rsb_bridge.route.calls.provided_calls import ProvidedCalls, ProviderKind
@@ -34,24 +30,18 @@ class Provider(CallsHalf):
 
     Attributes:
         under_way: the calls of the other side.
-        kind: what they do besides, by the route's kind.
         servers: what can be called here.
     """
 
     outgoing: ClassVar[bool] = False
     under_way: ProvidedCalls
+    kind: ProviderKind
 
     def __init__(self, route: Route) -> None:
-        self.route, self.flow = route, CallsFlow(route)
-        self.carried, self.types = self.flow.carried, LaneTypes(self.flow)
+        super().__init__(route)
         self.under_way = ProvidedCalls(self.flow, self.types, _KINDS[route.proposal.kind])
-        self.kind = self.under_way.kind
-        self.never_idle = self.kind.never_idle
         self.servers = ServersHere(self.flow, self.types, self.under_way)
-        outbox = self.under_way.outbox
-        self._frames = CallFrames(self.flow, outbox, self.under_way, self.under_way)
-        self.deliver, self.flush = self._frames.deliver, outbox.flush
-        self.facts = CallsFacts(self.flow, self.types, self.servers, self.kind)
+        self._join(self.servers, messages=self.under_way)
 
     def proceed(self) -> None:
         """Open the channel; find who provides it, have clients for them, and tell the other side."""
@@ -61,12 +51,6 @@ class Provider(CallsHalf):
             self.route.peer.open_channel(self.route)
         self.servers.proceed()
         self.flush()
-
-    def close(self, reason: str) -> None:
-        """End the opening; pending calls are lost."""
-        self.servers.close()
-        self.under_way.close(reason)
-        self._frames.clear()
 
     def destroy(self) -> None:
         """Close what is open in ROS."""

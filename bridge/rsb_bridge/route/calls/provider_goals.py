@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
-from rsb_bridge.model.by_hand import END_CANCEL, END_NONE, more_careful_end
+from rsb_bridge.model.by_hand import END_CANCEL
 from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL, STATUS
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.route.calls.goals import MOST_GOALS, Goals, accepted_by, cancel_request, goal_of, refuses_cancel
@@ -15,7 +15,6 @@ from rsb_bridge.wire.headers import CallFrame, What
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from rsb_bridge.model.calls import GoalSnapshot
     from rsb_bridge.ros.ros_interface import RawMessage, Response
     from rsb_bridge.route.calls.calls_flow import CallsFlow
     from rsb_bridge.route.calls.paced_client import PacedClient
@@ -28,11 +27,9 @@ class ProviderGoals(ProviderKind):
     """Follows goals by the calls, responses and messages of an action; they go on while the link is down.
 
     Attributes:
-        goals: all that are known.
         undecided: goals that the server has neither accepted nor rejected, by the client's number.
     """
 
-    never_idle: ClassVar[bool] = True
     goals: Goals
 
     def __init__(self, flow: CallsFlow, *parts: Any) -> None:
@@ -44,10 +41,6 @@ class ProviderGoals(ProviderKind):
         # Also by client, as another one numbers from the start.
         self._cancels: dict[tuple[PacedClient, int | bytes], tuple[bytes, float]] = {}
         self.undecided: dict[int, bytes] = {}
-
-    @property
-    def on_end(self) -> str:
-        return more_careful_end((self._route.arming.own.on_end, self._route.arming.peer_on_end, END_NONE))
 
     @property
     def keeps_clients(self) -> bool:
@@ -111,7 +104,7 @@ class ProviderGoals(ProviderKind):
         self.undecided.clear()  # else answers to other calls would be taken for answers to these
 
     def server_gone(self) -> None:
-        self.goals.server_gone()
+        super().server_gone()
         self.undecided.clear()
 
     def close(self) -> None:
@@ -146,17 +139,9 @@ class ProviderGoals(ProviderKind):
     # --- time
 
     def act(self, now: float) -> None:
-        """Report cancels without an answer, and give requests for results of goals that are over a timeout."""
+        """Report cancels without an answer, besides what is due in either half."""
         for call, (goal, asked_at) in tuple(self._cancels.items()):
             if asked_at < now - _CANCELLED_WITHIN:
                 del self._cancels[call]
                 self._may_go_on(goal, f"its server has not answered for {_CANCELLED_WITHIN:g} s")
-        for number, goal in self._awaited():
-            if self.goals.is_over(goal):
-                self._pending.limit(number, self._flow.call_timeout)
-
-    def _awaited(self) -> list[tuple[int, bytes]]:
-        return [(number, call.goal) for number, call in self._pending.items() if call.goal]
-
-    def snapshot(self) -> tuple[GoalSnapshot, ...]:
-        return self.goals.snapshot({goal for _, goal in self._awaited()})
+        super().act(now)

@@ -218,7 +218,7 @@ class ServiceOffer:
             lanes.open(entries, reach | self._owed())
             self.reach = reach
             self._log(was_offered)
-            self.calls.send_again({lane: each.server for lane, each in lanes.services.items()})
+            self.calls.send_again(self._servers)
             for topic in lanes.open_topics(entries):
                 if topic.lane in self._kept:
                     topic.publish(self._kept[topic.lane])
@@ -226,6 +226,10 @@ class ServiceOffer:
             self.failed(error)
             return
         lanes.retry.clear()
+
+    @property
+    def _servers(self) -> dict[int, ServiceServer]:
+        return {lane: each.server for lane, each in self.lanes.services.items()}
 
     def _owed(self) -> set[int]:
         """Return the lanes on which callers still wait for an answer: it needs their servers."""
@@ -275,7 +279,7 @@ class ServiceOffer:
     def act(self) -> None:
         """Have the next server asked, and close services that stayed open only for answers, once nobody waits."""
         if self.calls.lost:
-            self.calls.ask_next({lane: each.server for lane, each in self.lanes.services.items()})
+            self.calls.ask_next(self._servers)
         open_lanes = self.lanes.services.keys()
         if self.reach and not open_lanes <= self.reach and open_lanes - self.reach - self._owed():
             self._route.advance()
