@@ -65,9 +65,6 @@ control connection, which brings the receipts, was never silent for so many s: s
 nothing on. Receipts come once a second."""
 
 
-_CHECK = "check firewalls and NAT between the two sides"
-
-
 class RouteNumbers(Protocol):
     """The ids of a link's routes."""
 
@@ -136,7 +133,7 @@ class DataStream(Carrier, StreamHandler):
     @property
     def delivers(self) -> bool:
         """Whether anything of a route's has arrived on it, or nothing has to."""
-        return self.acknowledged > self.resumed or self.sent <= max(self.acknowledged, self.resumed)
+        return self.acknowledged > self.resumed or self.sent <= self.resumed
 
     def write_off(self) -> None:
         self._settled = self.sent
@@ -569,7 +566,10 @@ class _StreamEnd(DataChannel):
         if pair.is_failing and (
             self.is_suspended or any(self.uses(each) for each in pair.streams() if not each.delivers)
         ):
-            text = f"no data connection of it delivers anything ({pair.lost_for}), though the link is up: {_CHECK}"
+            text = (
+                f"no data connection of it delivers anything ({pair.lost_for}), though the link is up: "
+                "check firewalls and NAT between the two sides"
+            )
             return Verdict(State.DOWN, Cause.NO_PATH, text)
         if self.is_suspended:
             return Verdict(State.WAITING, Cause.AWAITS_LINK, REOPENS)

@@ -18,7 +18,6 @@ from rsb_bridge.config.validation import domain_of, zone_of
 from rsb_bridge.feature import installed
 from rsb_bridge.model import transports
 from rsb_bridge.model.demands import (
-    NO_DEMAND,
     Demands,
     demand_on_entry,
     local_name,
@@ -251,8 +250,7 @@ def guarded_here_alone(session: Session) -> Iterator[str]:
     demands = Demands(sources_of(session))
     for client, topic in _entries(session):
         received = topic.direction == ("receive" if session.role == "client" else "transmit")
-        is_command = received and not topic.is_pattern and moves_a_robot(topic)
-        if is_command and demand_on_entry(demands, session, client, topic).arm:
+        if received and moves_a_robot(topic) and demand_on_entry(demands, session, client, topic).arm:
             yield topic.topic
 
 
@@ -262,7 +260,6 @@ def with_late_commands(session: Session) -> Iterator[str]:
     for client, topic in _entries(session):
         if not moves_a_robot(topic):
             continue
-        demand = NO_DEMAND if topic.is_pattern else demand_on_entry(demands, session, client, topic)
-        stated = smallest_max_age((topic.max_age, demand.max_age))
+        stated = smallest_max_age((topic.max_age, demand_on_entry(demands, session, client, topic).max_age))
         if stated == 0.0 or (stated is None and topic.kept is not None):
             yield topic.topic

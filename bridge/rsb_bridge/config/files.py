@@ -138,12 +138,12 @@ def _replace_file(path: Path, content: bytes, like: Path | None, mode: int, owne
         raise OSError(errno.EINVAL, FileRefused.NOT_A_FILE(kind=kind_of_file(old.st_mode)), str(path))
     if old is not None and old.st_uid not in (0, os.geteuid()) and _is_for_all(target.parent):
         raise OSError(errno.EPERM, FileRefused.OF_ANOTHER(), str(path))
-    model = like if like is not None else target if old is not None else owner
+    model = like if like is not None else owner if old is None else None
     # In the target's folder, because a rename does not cross file systems.
     handle, name = tempfile.mkstemp(prefix=f".{target.name}.", dir=target.parent)  # mkstemp's mode is 0600
     try:
         with os.fdopen(handle, "wb") as file:
-            found = None if model is None else stat_of(model)
+            found = old if model is None else stat_of(model)
             # The owner first: with the mode first, this user's group could open the file for a moment.
             if found is not None:
                 _give_owner(handle, found)

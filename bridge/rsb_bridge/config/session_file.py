@@ -209,6 +209,7 @@ def save(session: Session, path: Path, opened: SessionFile | None = None, notes:
         SessionError: the session has mistakes. In all cases the old file is as it was.
     """
     text = edited_text(session, path, opened, notes)
+    content = text.encode()
     if opened is not None and opened.is_at(path):
         opened.check_unchanged()
     try:
@@ -219,9 +220,9 @@ def save(session: Session, path: Path, opened: SessionFile | None = None, notes:
             if status is not None and not stat.S_IMODE(status.st_mode) & (stat.S_IWUSR | stat.S_IWGRP | stat.S_IWOTH):
                 raise PermissionError(errno.EACCES, SavingProblem.READ_ONLY(path=path))
             # A second save of the same text must not replace the backup, the only copy of the earlier contents.
-            if path.is_file() and path.read_bytes() != text.encode():
-                replace_file(backup_path(path), path.read_bytes(), like=path)
-            replace_file(path, text.encode(), like=path)
+            if status is not None and stat.S_ISREG(status.st_mode) and (before := path.read_bytes()) != content:
+                replace_file(backup_path(path), before, like=path)
+            replace_file(path, content, like=path)
     except OSError as error:
         message = SavingProblem.NOT_WRITTEN(problem=why_not_written(error, path))
         raise UnwritableError(path, [Problem("", message)]) from None

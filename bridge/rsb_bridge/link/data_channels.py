@@ -179,10 +179,11 @@ class DataChannels:
         # Without one, a client tries again, and a server waits for its client's probe; both then call `udp_ready`.
         if channel is None:
             return
-        if isinstance(route.half.carried.channel, DatagramEnd):
-            route.half.carried.channel.resume(channel, self.keys)
+        carried = route.half.carried
+        if isinstance(carried.channel, DatagramEnd):
+            carried.channel.resume(channel, self.keys)
         else:
-            route.half.carried.channel = datagram_channel(channel, route, self.keys)
+            carried.channel = datagram_channel(channel, route, self.keys)
 
     def _carry(self, route: Route, pair: StreamPair) -> None:
         route.half.carried.channel = stream_channel(pair, route)

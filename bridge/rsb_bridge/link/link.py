@@ -181,9 +181,8 @@ class RouteReports(Extension):
 
     def _receive_entry(self, entry: SentReport | ReceivedReport | CallsReport) -> None:
         route = self._link.ids.open_route(entry.route)
-        if route is not None and isinstance(
-            entry, route.half.peer_report
-        ):  # a peer may report as the half that is here
+        # A peer may report as the half that is here.
+        if route is not None and isinstance(entry, route.half.peer_report):
             route.half.reported(entry)
 
 

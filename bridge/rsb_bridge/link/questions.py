@@ -215,18 +215,17 @@ class TypeQuestions(Extension):
             LinkError: neither side has the description, or this one has none and the peer cannot be asked, or does not
                 answer.
         """
-        if not route.half.carried.type_hash:
-            raise LinkError(
-                "its type is not known yet" if not route.half.carried.type_name else "its type's version is not known"
-            )
-        text = await self._known.find(route.half.carried.type_name, route.half.carried.type_hash, route.local_topic)
+        carried = route.half.carried
+        if not carried.type_hash:
+            raise LinkError("its type's version is not known" if carried.type_name else "its type is not known yet")
+        text = await self._known.find(carried.type_name, carried.type_hash, route.local_topic)
         if text is None and not (self._link.linked and route.id):
-            raise LinkError(Denied.TYPE_NOT_HERE(type_name=route.half.carried.type_name))
+            raise LinkError(Denied.TYPE_NOT_HERE(type_name=carried.type_name))
         if text is None:
-            self._keep(await self._questions.ask(route.id, AskType(route=route.id)), {route.half.carried.type_hash})
-            text = self._known.known(route.half.carried.type_hash)
+            self._keep(await self._questions.ask(route.id, AskType(route=route.id)), {carried.type_hash})
+            text = self._known.known(carried.type_hash)
         if text is None:
-            raise LinkError(Denied.TYPE_NOT_INSTALLED(type_name=route.half.carried.type_name))
+            raise LinkError(Denied.TYPE_NOT_INSTALLED(type_name=carried.type_name))
         return text
 
     def compare(self, route_id: int, types: Sequence[TypeVersion], tell: Callable[[str], None]) -> None:

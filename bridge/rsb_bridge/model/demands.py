@@ -311,11 +311,13 @@ class Demands:
 
 
 def demand_on_entry(demands: Demands, session: Session, client: Client | None, topic: Topic) -> Demand:
-    """Return the demand on the name of an entry, which is no pattern.
+    """Return the demand on the name of an entry. A pattern has none: its names have.
 
     Args:
         client: on a server, the client whose entry it is, or None.
     """
+    if topic.is_pattern:
+        return NO_DEMAND
     owner = "" if client is None else client.name
     use_name = client is not None and client.is_prefixed(session)
     name = local_name(topic, owner, on_server=client is not None, use_name=use_name)

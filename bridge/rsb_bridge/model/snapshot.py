@@ -200,9 +200,7 @@ class Driver:
 
     name: str  # of the node, ``link NAME`` for another link of that side's bridge, or empty for a hand
     here: bool  # whether it publishes on this side
-    rate: float | None = (
-        None  # Hz that this route takes of it, or None if it is not counted: it publishes beside the link
-    )
+    rate: float | None = None  # Hz that this route takes of it, or None: it publishes beside the link, uncounted
     by_hand: bool = False
 
 

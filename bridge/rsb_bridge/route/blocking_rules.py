@@ -15,16 +15,7 @@ from rsb_bridge.route.crossing import Crossing
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
-    from rsb_bridge.context import Context
-    from rsb_bridge.model.capacity import Fullness
     from rsb_bridge.model.faults import PathFault
-    from rsb_bridge.model.reason import Reason
-    from rsb_bridge.route.arming import Arming
-    from rsb_bridge.route.lifecycle import Lifecycle, PauseState, Reopening
-    from rsb_bridge.route.notices import Notices
-    from rsb_bridge.route.peer import Peer
-    from rsb_bridge.route.rate_limit import RateLimit
-    from rsb_bridge.transport.transport import Transport
 
 _LINK_STAGE, ACCEPTED = "link up", "peer accepted"
 """Names of stages."""
@@ -46,36 +37,8 @@ _BETWEEN_LOSSES = frozenset(
 """Verdicts on a route that has recovered for a moment, or opens again."""
 
 
-class JudgedRoute(Protocol):
-    """A route, as the rules of its half's verdict and of its stages read it."""
-
-    context: Context
-    transport: Transport
-    local_topic: str
-    far_topic: str
-    life: Lifecycle
-    reopening: Reopening
-    notices: Notices
-    pausing: PauseState
-    arming: Arming
-    limit: RateLimit
-
-    @property
-    def peer(self) -> Peer: ...
-
-    @property
-    def link_full(self) -> Fullness | None: ...
-
-    @property
-    def shown_refusal(self) -> Reason: ...
-
-    def trouble(self) -> Verdict | None: ...
-
-    def away_text(self) -> str: ...
-
-
 class JudgedHalf(Protocol):
-    """One half of a route, as the same rules read it."""
+    """One half of a route, as the rules of its verdict and of its stages read it."""
 
     route: Any
 

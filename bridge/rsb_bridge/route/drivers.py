@@ -39,9 +39,8 @@ class Drivers:
         self.here: tuple[Driver, ...] = ()
         self.there: tuple[Driver, ...] = ()
         self._counts: defaultdict[bytes, int] = defaultdict(int)  # messages since the last tick, by publisher
-        self._ticks: deque[tuple[defaultdict[bytes, int], float]] = deque(
-            maxlen=_TICKS
-        )  # those before, and how long each took
+        # Those before, and how long (s) each took.
+        self._ticks: deque[tuple[defaultdict[bytes, int], float]] = deque(maxlen=_TICKS)
         self._ticked = route.context.now()
 
     @property

@@ -335,7 +335,7 @@ def sending_gates(
     age, ages = route.age, route.age.is_on
     # A latched topic's messages wait in its histories; their age is asked when they leave these (`kept_age_sieve`).
     fresh = (fresh_sieve(age, ledger),) if ages and not flow.is_latched else ()
-    driven = (driver_sieve(flow.drivers),) if flow.carried.may_move or route.arming.required else ()
+    driven = (driver_sieve(flow.drivers),) if flow.drivers.are_watched else ()
     return SendingGates(
         batch=armed_gates(route),
         arriving=(*fresh, loop_sieve(loops, route, ledger), *driven),

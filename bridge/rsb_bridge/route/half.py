@@ -2,9 +2,10 @@
 
 Halves are `sender.Sender` and `receiver.Receiver` of a topic, `calls.caller.Caller` and `calls.provider.Provider` of a
 service, an action or a node's parameters. Only the route calls the verbs, in the order that its own methods say, unless
-a verb names another caller. A half reads its route, logs by it, and asks it to `advance`, `judge_again`, `refuse` or
-`request_reopen`. It writes the route's notices, age (`publishers.since`), rate limit (`set_profile_rate`) and the
-other side's verdict (`judged.receive`), and nothing else of it.
+a verb names another caller. A half reads its route, logs by it, and asks it to `advance`, `judge_again`, `wake`,
+`settle_age`, `refuse` or `request_reopen`. It writes the route's notices, life (`handle`), losses, meter, weight,
+`rested`, age (`publishers.since`), rate limit (`set_profile_rate`) and the other side's verdict (`judged.receive`), has
+its gates composed when arming, age or limit switch (`gates.compose_when_switched`), and writes nothing else of it.
 """
 
 from __future__ import annotations
@@ -174,7 +175,7 @@ class Half(Protocol):
         """
 
     def configure(self) -> None:
-        """Take over new limits, or what a changed session says."""
+        """Take over new limits, or what a changed session says. Also called by `Bridge`, which has that session."""
 
     def restart_measuring(self) -> None:
         """Restart all measurements over time: messages may cross from now on, or no longer."""
@@ -188,10 +189,10 @@ class Half(Protocol):
         """Send more, as the channel has room again. A half that sends nothing ignores it."""
 
     def news(self) -> SentReport | ReceivedReport | CallsReport | None:
-        """Return the report for the peer, or None if the peer knows everything."""
+        """Return the report for the peer, or None if the peer knows everything. Called by `RouteReports`."""
 
     def reported(self, report: Any) -> None:
-        """Take a report of the peer, a `peer_report`."""
+        """Take a report of the peer, a `peer_report`. Called by `RouteReports`."""
 
     # --- time
 

@@ -9,6 +9,7 @@ from rsb_bridge.model.qos import match_subscriptions
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.announcements import BY_HAND
 from rsb_bridge.ros.ros_graph import agreed_type, type_hint
+from rsb_bridge.route.loop_filter import publishers_besides
 from rsb_bridge.route.topic_verdict import audience
 
 if TYPE_CHECKING:
@@ -53,7 +54,7 @@ class Listeners:
     def _look_for_drivers(self) -> None:
         drivers = self._flow.drivers
         # Only then: it searches the graph.
-        self.further = tuple(further_publishers(self._route)) if drivers.are_watched else ()
+        self.further = tuple(publishers_besides(self._route, self._route.remote_topic)) if drivers.are_watched else ()
         if self.further or drivers.here:
             drivers.look(self.further)
 
@@ -66,7 +67,7 @@ class Listeners:
     def look_without_publisher(self) -> None:
         """Find the type that the subscriptions have, while nothing is published here, and who else drives."""
         self.hint = type_hint(self._route.ends, self._route.remote_topic)
-        if self._flow.carried.may_move or self._route.arming.required or self.further:
+        if self._flow.drivers.are_watched or self.further:
             self._look_for_drivers()
 
     def look(self) -> None:
@@ -99,16 +100,10 @@ class Listeners:
 def _further_clocks(route: Route) -> frozenset[str]:
     """Return the nodes and the links that publish a route's clock here besides it."""
     found = set()
-    for each in further_publishers(route):
+    for each in publishers_besides(route, route.remote_topic):
         own = route.context.announcements.own_of(each.gid)
         if own is None or own.link == BY_HAND:
             found |= {each.node} if each.type_name == CLOCK else set()
         elif own.origin.via and own.origin.live:
             found.add(f"link {own.link}")
     return frozenset(found)
-
-
-def further_publishers(route: Route) -> list[Endpoint]:
-    """Return the publishers of a route's topic here besides its link's."""
-    own = route.context.announcements.own_publishers(route.remote_topic, besides=route.peer.name)
-    return [*route.ends.publishers(route.remote_topic), *own]

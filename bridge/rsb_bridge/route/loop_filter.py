@@ -215,7 +215,7 @@ class LoopFilter:
     def update(self, topic: str, remote_topic: str) -> list[Endpoint]:
         """Update the table from the ROS graph; return the publishers whose messages may be carried."""
         announcements, ros, peer = self._context.announcements, self._context.ros, self._route.peer
-        endpoints = [*self._route.ends.publishers(topic), *announcements.own_publishers(topic, besides=peer.name)]
+        endpoints = publishers_besides(self._route, topic)
         publications = [
             Publication(each.gid, each.node.lstrip("/"), *(announcements.origin_of(each) or (None,)))
             for each in endpoints
@@ -353,3 +353,9 @@ class LoopFilter:
 
 def _nodes(publications: Iterable[Publication]) -> str:
     return join_first(sorted({each.node for each in publications if each.node}), _MOST_NAMED)
+
+
+def publishers_besides(route: Route, topic: str) -> list[Endpoint]:
+    """Return the publishers of a topic here besides those of a route's link."""
+    own = route.context.announcements.own_publishers(topic, besides=route.peer.name)
+    return [*route.ends.publishers(topic), *own]

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from rsb_bridge.cdr.description import CompareTypes
     from rsb_bridge.context import Context
     from rsb_bridge.model.capacity import Fullness
+    from rsb_bridge.model.keep import Keep
     from rsb_bridge.model.verdict import Verdict
     from rsb_bridge.route.entry import Entry
     from rsb_bridge.route.half import Half
@@ -565,6 +566,11 @@ class Route:
         name = self.local_topic if is_shown else self.purpose.name
         about["link"], about["topic"] = self.peer.name, name
         self.context.log(level, code, f"{name}: {text}", **about)
+
+
+def promised_keep(route: Route) -> Keep | None:
+    """Return the promise of `keep` that holds: topics that have to be armed give none."""
+    return None if route.arming.required else route.proposal.keep
 
 
 def route_weight(proposal: Propose, *, armed: bool) -> int:

@@ -142,7 +142,7 @@ class SenderFacts(TopicFacts):
     def came_before(self) -> bool:
         """Whether either side knows of messages in an earlier opening, and none came in this one."""
         there = self.report is not None and self.report.came_before
-        return (self.route.meter.last is not None and not self.came) or (there and not self.came)
+        return (self.route.meter.last is not None or there) and not self.came
 
     def end_qos(self) -> tuple[Qos | None, Qos | None]:
         return self._resolver.publisher_qos, self.report.subscriber_qos if self.report else None

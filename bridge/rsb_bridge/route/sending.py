@@ -18,7 +18,7 @@ from rsb_bridge.route.gates import NO_SAMPLE, chained, compose_when_switched, se
 from rsb_bridge.route.ledger import CAUSES, KEEP_FULL, OUTAGE, REPLACED
 from rsb_bridge.route.peeking import peeked
 from rsb_bridge.route.rate_limit import LastLater, LatestLater, Throttle
-from rsb_bridge.route.route import route_weight
+from rsb_bridge.route.route import promised_keep, route_weight
 from rsb_bridge.route.topic_verdict import USE_TCP
 from rsb_bridge.telemetry.meters import Smoothed
 from rsb_bridge.wire.framing import CONTENT_LIMIT, HISTORY, MESSAGE_LIMIT, ZSTD, Budget, Message
@@ -253,9 +253,9 @@ class Outbox:
         self._limits = QueueLimits(0, 0.0, 0)  # by which messages were last added
 
     def compose(self) -> None:
-        """Take the present promise of `keep`, which topics that have to be armed do not give."""
+        """Take the present promise of `keep`."""
         route, budget = self._route, self._route.peer.budget
-        keep = self._keep = None if route.arming.required else route.proposal.keep
+        keep = self._keep = promised_keep(route)
         if keep is None:
             self._queue.charge(budget.waiting)
         # A peer alone must not have this side keep more than the links' topics share.
@@ -369,8 +369,9 @@ class Outbox:
             # All topics of a link that is away may wait for minutes, and share one limit.
             size = min(size, self._queue.room())
         # A command is a state: after a stall, a robot would follow all the old ones before the present one.
-        rests = route.arming.required and self._end.of(self._carried.type_name) not in ("", END_NONE)
-        if rests or route.age.only_newest:
+        if route.age.only_newest or (
+            route.arming.required and self._end.of(self._carried.type_name) not in ("", END_NONE)
+        ):
             return QueueLimits(1, 0.0, size)
         self._overload.judge(now, self._queue.oldest_since, len(self._queue), channel.still(now))
         qos, profile = self._flow.qos, route.peer.profile

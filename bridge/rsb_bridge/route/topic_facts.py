@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from rsb_bridge.cdr.description import TypeVersion
 from rsb_bridge.model.verdict import EXPIRES, Cause, LinkCause
 from rsb_bridge.route.lateness import Late
+from rsb_bridge.route.route import promised_keep
 from rsb_bridge.route.topic_flow import MEASURED_FOR
 from rsb_bridge.route.topic_verdict import LOSS_CAUSES
 
@@ -88,7 +89,7 @@ class TopicFacts(ABC):
 
     @property
     def may_not_be_late(self) -> bool:
-        return self.carried.may_move and (self.route.proposal.keep is None or self.route.arming.required)
+        return self.carried.may_move and promised_keep(self.route) is None
 
     @property
     def learns(self) -> bool:

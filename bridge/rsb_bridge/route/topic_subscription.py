@@ -19,6 +19,7 @@ from rsb_bridge.ros.ros_interface import BATCH, RosError
 from rsb_bridge.route.history_depth import Histories, note_taken
 from rsb_bridge.route.lease import Marker
 from rsb_bridge.route.peer import TypeUse
+from rsb_bridge.route.route import promised_keep
 
 if TYPE_CHECKING:
     import asyncio
@@ -218,7 +219,7 @@ class TopicSubscription:
             return qos
         rate = meter.usual_rate or meter.rate or self._expected_rate or None
         # A bridge that stood still gets all at once, and what it promised to keep must not be lost then.
-        keep = None if self._route.arming.required else self._route.proposal.keep
+        keep = promised_keep(self._route)
         size = meter.bytes / meter.count if meter.count else 0.0
         return msgspec.structs.replace(qos, depth=auto_depth(rate, size, keep))
 

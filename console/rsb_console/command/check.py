@@ -31,7 +31,7 @@ from rsb_bridge.config.validation import domain_of
 from rsb_bridge.config.yaml_text import inline
 from rsb_bridge.feature import installed
 from rsb_bridge.model.by_hand import END_CANCEL
-from rsb_bridge.model.demands import NO_DEMAND, Demands, demand_on_entry, describe, full_type, sources_of
+from rsb_bridge.model.demands import Demands, demand_on_entry, describe, full_type, sources_of
 from rsb_bridge.model.keep import KEEP_BUDGET
 from rsb_bridge.model.motion import LATEST
 from rsb_bridge.model.session import Grant
@@ -132,12 +132,10 @@ def _demands_on(
     topic: Topic, session: Session, client: Client | None, demands: Demands, places: Mapping[SourceKey, str]
 ) -> str:
     """Describe the demands on an entry, or on its name, that the entry itself does not show."""
-    demand = NO_DEMAND if topic.is_pattern else demand_on_entry(demands, session, client, topic)
+    demand = demand_on_entry(demands, session, client, topic)
     limit = f", dropped if older than {demand.max_age:g} s" if demand.max_age and not topic.max_age else ""
     if moves_a_robot(topic) and topic.max_age is None and demand.max_age is None and topic.kept is None:
         limit = SessionCheckText.OF_COMMANDS(seconds=LATEST)
-    if topic.is_pattern:
-        return limit
     if demand.limits is not None:
         lines = ", ".join(describe(source, places) for source in demand.limited_by)
         limit += SessionCheckText.LIMITED(limits=demand.limits, lines=lines)

@@ -162,13 +162,17 @@ def moved_by(route: RouteSnapshot, snapshot: Snapshot) -> list[str]:
     return sorted({each.link for each in snapshot.routes if each.outgoing and each.topic == route.topic} | {route.link})
 
 
+def _routes_to(route: RouteSnapshot, snapshot: Snapshot) -> list[RouteSnapshot]:
+    """Return the routes to all robots that messages on a route's topic move."""
+    links, way = moved_by(route, snapshot), (route.topic, route.outgoing)
+    return [each for each in snapshot.routes if (each.topic, each.outgoing) == way and each.link in links]
+
+
 def in_hand(route: RouteSnapshot, snapshot: Snapshot) -> str:
     """Return what robots on a route's topic were given last, as their sides report it, or an empty string."""
-    links = moved_by(route, snapshot)
-    routes = [each for each in snapshot.routes if each.topic == route.topic and each.outgoing == route.outgoing]
     found = []
-    for each in routes:
-        if each.link in links and each.arming is not None and (velocity := each.arming.velocity) is not None:
+    for each in _routes_to(route, snapshot):
+        if each.arming is not None and (velocity := each.arming.velocity) is not None:
             forward, turn = velocity
             turning = DriveText.TURNING(turn=turn) if turn else ""
             motion = DriveText.MOVING(forward=forward, turning=turning) if any(velocity) else DriveText.RESTS()
@@ -182,15 +186,12 @@ def also_driving(route: RouteSnapshot, snapshot: Snapshot, *, holds: bool) -> st
     Args:
         holds: whether this console holds the topic, so that the messages by hand are its own.
     """
-    links, routes = moved_by(route, snapshot), snapshot.routes
     found: dict[str, float] = {}
     beside: dict[str, None] = {}
-    for each in routes:
-        if each.topic != route.topic or each.outgoing != route.outgoing or each.link not in links:
-            continue
+    for each in _routes_to(route, snapshot):
         holder = "" if each.arming is None else each.arming.by
         for driver in each.drivers:
-            who = holder or driver_name(driver) if driver.by_hand else driver_name(driver)
+            who = (holder if driver.by_hand else "") or driver_name(driver)
             if driver.rate and not (holds and driver.by_hand and driver.here):
                 found[who] = max(found.get(who, 0.0), driver.rate)
             elif driver.rate is None and not driver.by_hand and driver.here != route.outgoing:

@@ -186,10 +186,14 @@ def _part(height: int, width: int, wish: Wish) -> tuple[slice, slice]:
     return slice(top, top + shown_height), slice(left, left + shown_width)
 
 
+def _is_webp(wish: Wish) -> bool:
+    """Whether the picture is sent as WebP: the viewer reads that, and this side can write it."""
+    return wish.webp and find_spec("PIL") is not None
+
+
 def _density(wish: Wish) -> tuple[int, int]:
     """Return the pixels of the picture across and down a cell."""
-    finer = wish.webp and find_spec("PIL") is not None
-    return (wish.across, wish.down) if finer else (1, 2)
+    return (wish.across, wish.down) if _is_webp(wish) else (1, 2)
 
 
 def _pixel_shape(wish: Wish) -> float:
@@ -238,7 +242,7 @@ def _places(length: int, count: int) -> Array:
 def _pixels(rgb: Array, wish: Wish) -> Pixels:
     (height, width), shape = rgb.shape[:2], _pixel_shape(wish)
     pixels = np.ascontiguousarray(rgb, dtype=np.uint8)
-    if wish.webp and find_spec("PIL") is not None:
+    if _is_webp(wish):
         if width < _DOUBLED_BELOW:
             doubled = pixels.repeat(2, axis=0).repeat(2, axis=1)
             return Pixels(width, height, _webp(doubled, (_QUALITY_DOUBLED, *_QUALITIES[2:])), "webp-doubled", shape)

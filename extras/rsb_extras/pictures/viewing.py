@@ -220,10 +220,9 @@ class Viewing(EnginePart):
             for route in link.routes.values():
                 if not isinstance(route.half, Sender | Receiver) or route.outgoing or route.local_topic != topic:
                     continue
-                if route.crossing.flows and route.half.carried.type_hash and route.half.flow.qos is not None:
-                    return TopicSpec(
-                        topic, route.half.carried.type_name, route.half.carried.type_hash, route.half.flow.qos
-                    )
+                flow = route.half.flow
+                if route.crossing.flows and flow.type_hash and flow.qos is not None:
+                    return TopicSpec(topic, flow.type_name, flow.type_hash, flow.qos)
         return None
 
     def tick(self, snapshot: Snapshot) -> None:

@@ -87,7 +87,7 @@ class CallsFacts:
         return self.route.judged.peer.cause == Cause.CALLS_WAIT if self.route.outgoing else self.calls.waited_lately()
 
     def snapshot_of(self, common: partial[RouteSnapshot]) -> RouteSnapshot:
-        callers, providers = self.end.nodes()
+        (callers, providers), goals = self.end.nodes(), self._kind.goals
         return common(
             qos=None,
             publisher_qos=None,
@@ -99,7 +99,7 @@ class CallsFacts:
             publishers=callers,
             subscribers=providers,
             calls=self.calls.snapshot(self.end.at_node()[1]),
-            goals=self._kind.snapshot(),
+            goals=() if goals is None else goals.snapshot(self._kind.awaited()),
             lanes=tuple(member.name for member in self._flow.members if not member.is_topic),
         )
 

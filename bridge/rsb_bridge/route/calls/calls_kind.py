@@ -8,7 +8,6 @@ from rsb_bridge.model.by_hand import END_NONE, more_careful_end
 from rsb_bridge.route.calls.pending_calls import PendingCall
 
 if TYPE_CHECKING:
-    from rsb_bridge.model.calls import GoalSnapshot
     from rsb_bridge.route.calls.calls_flow import CallsFlow
     from rsb_bridge.route.calls.goals import Goals
     from rsb_bridge.route.calls.pending_calls import PendingCalls
@@ -54,8 +53,6 @@ class CallsKind(Generic[C]):
             if call.goal and self.goals.is_over(call.goal):
                 self._pending.limit(number, self._flow.call_timeout)
 
-    def snapshot(self) -> tuple[GoalSnapshot, ...]:
-        """Return an action's goals."""
-        if self.goals is None:
-            return ()
-        return self.goals.snapshot({call.goal for _, call in self._pending.items() if call.goal})
+    def awaited(self) -> set[bytes]:
+        """Return the goals whose results are asked for and not there yet."""
+        return {call.goal for _, call in self._pending.items() if call.goal}
