@@ -9,23 +9,20 @@ from __future__ import annotations
 
 import argparse
 import subprocess
-import tempfile
 import time
 from contextlib import ExitStack
 from itertools import pairwise
-from pathlib import Path
 from typing import TYPE_CHECKING
 
+from bench.cable_bed import PC, cabled
 from tests.network.bridging import COMMAND
-from tests.network.conftest import Network
-from tests.network.hosts import Cable, NoHostError
+from tests.network.hosts import NoHostError
 from tests.support.waiting import eventually
 
 if TYPE_CHECKING:
     from tests.network.bridging import Bridge
     from tests.network.hosts import Host
 
-_PC, _ROBOT = "10.99.1.1", "10.99.1.2"
 _TOPIC = "/cmd"
 _RATE = 10.0
 """Hz: a driver's keys and most joysticks are that fast."""
@@ -53,15 +50,11 @@ def main() -> None:
 
 def _run(protocol: str, loss: int, seconds: float) -> str:
     with ExitStack() as stack:
-        network = Network(Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rsb-commands-"))))
-        stack.callback(network.close)
-        robot, pc = network.host("robot"), network.host("pc")
-        cable = Cable(robot, pc)
-        cable.address((f"{_ROBOT}/24", f"{_PC}/24"))
+        network, robot, pc, cable = stack.enter_context(cabled())
         cable.single()
         # `deadman` is 0, since nobody presses keys.
         entry = {"topic": _TOPIC, "protocol": protocol, "direction": "receive", "arm": True, "deadman": 0}
-        bridge = network.bridge(robot, pc, _PC, entry)
+        bridge = network.bridge(robot, pc, PC, entry)
         bridge.pc.talk(_TOPIC, rate=_RATE, size=100)
         eventually(lambda: bridge.server.route(_TOPIC).get("state") == "disarmed", _WITHIN)
         arming, times = _arm(stack, bridge, pc), 1

@@ -10,24 +10,21 @@ first message it took until one was younger than 0.2 s. It needs root, iproute2 
 from __future__ import annotations
 
 import argparse
-import tempfile
 import time
-from contextlib import ExitStack
 from copy import deepcopy
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tests.network.conftest import Network
-from tests.network.hosts import Cable, NoHostError
+from bench.cable_bed import PC, cabled
+from tests.network.hosts import NoHostError
+from tests.network.outage_counts import LIVE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from tests.network.node import Heard
 
-_PC, _ROBOT = "10.99.1.1", "10.99.1.2"
 _RATE = 50.0
-_OLD, _LIVE = 0.5, 0.2
+_OLD = 0.5
 _BEFORE, _AFTER = 12.0, 8.0  # s of traffic around a cut
 _QOS: dict[str, Any] = {"auto": "auto", "1": 1, "keep_all": {"history": "keep_all"}}
 _COMMANDS = "/cmd_vel", "/arm/joint_trajectory", "/controller/commands"
@@ -53,17 +50,12 @@ def main() -> None:
 
 
 def _rows(protocol: str, qos: str, cuts: Sequence[float]) -> Iterator[str]:
-    with ExitStack() as stack:
-        network = Network(Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rsb-old-"))))
-        stack.callback(network.close)
-        robot, pc = network.host("robot"), network.host("pc")
-        cable = Cable(robot, pc)
-        cable.address((f"{_ROBOT}/24", f"{_PC}/24"))
+    with cabled() as (network, robot, pc, cable):
         topics = (*_COMMANDS, _STATE)
         # Each a copy of its own: YAML would write the same one as an alias.
         common = {"protocol": protocol, "direction": "receive"}
         entries = [common | {"topic": each, "qos": deepcopy(_QOS[qos])} for each in topics]
-        bridge = network.bridge(robot, pc, _PC, *entries)
+        bridge = network.bridge(robot, pc, PC, *entries)
         for topic in topics:
             bridge.pc.talk(topic, rate=_RATE)
         bridge.listen(robot=topics)
@@ -87,7 +79,7 @@ def _figures(heard: Sequence[Heard], back: int) -> str:
     old = [each for each in after if each.latency > _OLD]
     until = (max(each.came for each in old) - back) / 1e9 if old else 0.0
     published = heard[-1].number - heard[0].number + 1 if heard else 0
-    live = next((each.came for each in after if each.latency < _LIVE), None)
+    live = next((each.came for each in after if each.latency < LIVE), None)
     live_after = "never" if live is None else f"{(live - after[0].came) / 1e9:.1f}"
     oldest = max((each.latency for each in after), default=0.0)
     return f"{published} | {len(heard)} | {len(old)} | {oldest:.1f} | {until:.1f} | {live_after}"

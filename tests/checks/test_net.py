@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import os
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from tests.support.captured import captured
 
 ROOT = Path(__file__).parents[2]
 NET = ROOT / ".ci/net.py"
@@ -37,10 +37,8 @@ class Net:
             (self.folder / f"test_{name}.py").write_text(content)
         environ = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST")}
         environ |= {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", "PYTHONPATH": str(ROOT)}  # plugins take most of the time
-        ran = subprocess.run(
-            [sys.executable, NET, sys.executable, "-m", "pytest", "-q", "-p", "xdist", *arguments],
-            cwd=self.folder, env=environ, capture_output=True, text=True, check=False,
-        )  # fmt: skip
+        pytest_run = sys.executable, "-m", "pytest", "-q", "-p", "xdist", *arguments
+        ran = captured(sys.executable, NET, *pytest_run, cwd=self.folder, env=environ, timeout=None)
         self.printed = ran.stdout
         return ran.returncode
 

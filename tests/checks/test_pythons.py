@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from tests.support.captured import captured
 
 PYTHONS = Path(__file__).parents[2] / ".ci/pythons.py"
 
@@ -28,9 +28,7 @@ class Machine:
     def run(self, make: str) -> int:
         self.has("bin/make", f'echo "$@" >> made.txt\n{make}')
         environ = {"PATH": str(self.folder / "bin"), "PYENV_ROOT": str(self.folder / "pyenv")}
-        ran = subprocess.run(
-            [sys.executable, "-P", PYTHONS], cwd=self.folder, env=environ, capture_output=True, text=True, check=False
-        )
+        ran = captured(sys.executable, "-P", PYTHONS, cwd=self.folder, env=environ, timeout=None)
         self.printed = ran.stdout.splitlines()
         return ran.returncode
 

@@ -15,6 +15,7 @@ import msgspec
 import pytest
 from tests.console.scripted import SESSION, ScriptedEngine
 from tests.support import constants, replaced, surroundings
+from tests.support.other_user import OTHER, only_root
 from tests.support.wording import pattern
 
 from rsb_bridge.control import bridges, control_sockets
@@ -34,8 +35,6 @@ if TYPE_CHECKING:
 
     from tests.support.control import Machine
 
-as_root = pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to be somebody else")
-NOBODY = 65534
 FALLBACK = replaced.FALLBACK_FOLDER.value
 LISTENS = """
 import socket, sys
@@ -117,17 +116,17 @@ def answer_to(uid: int, path: Path) -> str:
     return subprocess.run(command, capture_output=True, text=True, timeout=180, check=True).stdout.strip()
 
 
-@as_root
+@only_root
 @pytest.mark.parametrize("of", [0, SOMEBODY])
 def test_other_user_is_refused_whatever_files_allow(of: int) -> None:
     """The kernel says who connects; root's bridge serves root, and a user's serves that user and root."""
     with served_by(of) as path:
-        assert answer_to(NOBODY, path) == "HelloRefused"
+        assert answer_to(OTHER, path) == "HelloRefused"
         assert answer_to(of, path) == "ConsoleWelcome"
         assert answer_to(0, path) == "ConsoleWelcome"
 
 
-@as_root
+@only_root
 def test_roots_console_does_not_trust_another_users_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """It could have root's console save a session wherever it likes. A service's folder is root's own doing."""
     with served_by(SOMEBODY) as path:
@@ -137,13 +136,13 @@ def test_roots_console_does_not_trust_another_users_process(monkeypatch: pytest.
             RemoteEngine(path).start()
         constants.SERVICES_SOCKETS.set(monkeypatch, path.parent)
         assert bridges.ask(path).info is not None
-        os.chown(path.parent, NOBODY, NOBODY)
+        os.chown(path.parent, OTHER, OTHER)
         with pytest.raises(StrangerError):
             bridges.ask(path)
         os.chown(path.parent, SOMEBODY, SOMEBODY)
 
 
-@as_root
+@only_root
 def test_root_avoids_folder_of_other_user(machine: Machine) -> None:
     """Anybody can make /tmp/rsb-console-0 before root does."""
     machine.serve()
@@ -155,20 +154,20 @@ def test_root_avoids_folder_of_other_user(machine: Machine) -> None:
     os.chown(machine.folder, 0, 0)
 
 
-@as_root
+@only_root
 def test_a_console_does_not_trust_another_users_process(monkeypatch: pytest.MonkeyPatch, machine: Machine) -> None:
     machine.serve()
-    replaced.PEER_OF.set(monkeypatch, lambda _: (1, NOBODY, NOBODY))
+    replaced.PEER_OF.set(monkeypatch, lambda _: (1, OTHER, OTHER))
     surroundings.set_user(monkeypatch, 1234)
     replaced.FOLDER_PROBLEM.set(monkeypatch, lambda *_, **__: "")
     with pytest.raises(StrangerError):
         bridges.ask(machine.folder / "robot1.sock")
 
 
-@as_root
+@only_root
 def test_a_folder_of_another_users_is_refused(machine: Machine) -> None:
     machine.folder.mkdir()
-    os.chown(machine.folder, NOBODY, NOBODY)
+    os.chown(machine.folder, OTHER, OTHER)
     with pytest.raises(ControlError, match=pattern(SocketProblem.FOLDER_OF_USER)):
         machine.serve()
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from tests.support import constants
-from tests.support.bridge import connections, linked, listeners, route, settled
+from tests.support.bridge import connections, halves, linked, listeners, route, settled
 from tests.support.domain import Domain, text
 from tests.support.inside import inside, outputs_of
 from tests.support.long import long
@@ -128,9 +128,7 @@ def test_two_bridges_in_a_row(
 def brought_by(receiver: Engine, sender: Engine) -> bool:
     """Whether all that an engine publishes has crossed another one's bridge."""
     node = inside(sender).context.ros.node_name
-    halves = [route.half for link in inside(receiver).role.links() for route in tuple(link.routes.values())]
-    receivers = [half for half in halves if isinstance(half, Receiver)]
-    outputs = [output for each in receivers for output in tuple(outputs_of(each)._outputs)]
+    outputs = [output for each in halves(receiver, Receiver) for output in tuple(outputs_of(each)._outputs)]
     return bool(outputs) and all(node in map(node_of_hop, output.came_by) for output in outputs)
 
 

@@ -14,7 +14,6 @@ import pytest
 from tests.support import constants
 from tests.support.bridge import STOPS_WITHIN, carries, happened, link, linked, outgoing
 from tests.support.domain import text
-from tests.support.inside import ledger_of
 from tests.support.ports import taken
 from tests.support.resources import resources, returns_to
 from tests.support.waiting import eventually
@@ -92,7 +91,7 @@ def test_a_peer_that_is_frozen(
         for _ in range(10):
             out.publish(text("x" * 500_000))
         # The cause depends on the machine: from a second of silence on, what is dropped counts as an outage.
-        return any(ledger_of(outgoing(engine, "/chat")).dropped.values())
+        return any(outgoing(engine, "/chat").counts.dropped.values())
 
     eventually(full)
     assert linked(engine)

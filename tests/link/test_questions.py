@@ -176,7 +176,7 @@ async def test_lists_are_answered_once_a_second(loop: VirtualLoop) -> None:
     """Of what a peer asks meanwhile, its newest question counts: it waits for no other one."""
     sent: list[ControlMessageBase] = []
     lists = TopicLists(link_for(loop, sent.append, loop.create_task))
-    ask, _ = lists.messages[ListTopics], lists.messages[TopicList]
+    ask = lists.messages[ListTopics]
     for number in range(80):
         ask(ListTopics(number))
         await asyncio.sleep(0.125)

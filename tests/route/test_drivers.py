@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import pytest
 from tests.route.test_gates import armed
-from tests.route.test_loop_filter import FIRST, SCAN, SECOND, Graph, Peer, World, world
+from tests.route.test_loop_filter import FIRST, SCAN, SECOND, Graph, World, world, world_of
 from tests.support.judged import topic_verdict
 from tests.support.offline import half_of
 
@@ -22,7 +22,6 @@ from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.route.combined_verdict import Announcer
 from rsb_bridge.route.crossing import Crossing
 from rsb_bridge.route.receiver import Receiver
-from rsb_bridge.route.sender import Sender
 from rsb_bridge.wire.records import DriverRecord, ReceivedReport, SentReport
 
 if TYPE_CHECKING:
@@ -48,13 +47,8 @@ class Velocities(Graph):
 
 @pytest.fixture
 def driven(loop: VirtualLoop, make_context: Callable[..., Context]) -> World:
-    graph, peer = Velocities(), Peer()
-    context = make_context(graph)
-    sender = half_of(Sender, context, Topic(SCAN, "transmit"), peer)
-    sender.route.open(1)
-    sender.route.on_accepted()
-    peer.answer(sender)
-    return World(sender, graph, peer, context, loop)
+    graph = Velocities()
+    return world_of(graph, make_context(graph), loop)
 
 
 def looked(world: World) -> tuple[Driver, ...]:

@@ -208,7 +208,7 @@ def test_receiver_tells_counts_to_sending_process_only(make_context: Callable[..
     receiver = half_of(Receiver, make_context(role="server", ros=OnePublisher()), topic, peer, here=False)
 
     def counted_before(number: int) -> ReceivedReport | None:
-        """Open the receiver again; return its report of the opening before."""
+        """Open the route again; return its report of the opening before."""
         if receiver.route.id:
             receiver.route.close("the link was lost")
         receiver.route.open(number)

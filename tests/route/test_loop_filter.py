@@ -6,7 +6,6 @@ import asyncio
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import pytest
-from tests.support.inside import ledger_of
 from tests.support.offline import FakePeer, half_of
 
 from rsb_bridge.model.codes import EventCode
@@ -154,7 +153,7 @@ class World(NamedTuple):
 
     @property
     def ledger(self) -> RouteLedger:
-        return ledger_of(self.sender)
+        return self.sender.counts
 
     @property
     def held(self) -> int:
@@ -169,16 +168,21 @@ class World(NamedTuple):
         return [payload for payload, _ in self.peer.channel.sent]
 
 
-@pytest.fixture
-def world(loop: VirtualLoop, make_context: Callable[..., Context], request: pytest.FixtureRequest) -> World:
-    """The topic has other settings where a test gives the fixture some."""
-    graph, peer, topic = Graph(), Peer(), Topic(SCAN, "transmit", **getattr(request, "param", {}))
-    context = make_context(graph)
-    sender = half_of(Sender, context, topic, peer)
+def world_of(graph: Graph, context: Context, loop: VirtualLoop, **fields: Any) -> World:
+    """Open a topic's sender; the topic has these settings."""
+    peer = Peer()
+    sender = half_of(Sender, context, Topic(SCAN, "transmit", **fields), peer)
     sender.route.open(1)
     sender.route.on_accepted()
     peer.answer(sender)
     return World(sender, graph, peer, context, loop)
+
+
+@pytest.fixture
+def world(loop: VirtualLoop, make_context: Callable[..., Context], request: pytest.FixtureRequest) -> World:
+    """The topic has other settings where a test gives the fixture some."""
+    graph = Graph()
+    return world_of(graph, make_context(graph), loop, **getattr(request, "param", {}))
 
 
 def test_new_publisher_is_looked_up_by_first_message(world: World) -> None:

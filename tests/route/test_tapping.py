@@ -1,4 +1,4 @@
-"""Taps, which get all messages of a receiver: each once, in order, as it passes, beside viewers."""
+"""Taps, which get all messages of a route: each once, in order, as it passes, beside viewers."""
 
 from __future__ import annotations
 

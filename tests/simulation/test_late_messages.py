@@ -67,13 +67,12 @@ class Course(Yard):
         qos: Qos = Qos(),  # noqa: B008
         *,
         lister: str = "robot",
-        outlive: float = 60.0,
     ) -> None:
         super().__init__(*([topic] if lister == "robot" else []))
         if lister == "server":
             self.list_on_server(topic)
         for host in (self.robot, self.server):
-            host.session = msgspec.structs.replace(host.session, outlive=outlive)
+            host.session = msgspec.structs.replace(host.session, outlive=60.0)
         self.topic, self.name, self.lister = topic, name or topic.topic, lister
         self.heard: list[Heard] = []
         self.made = 0
@@ -93,6 +92,10 @@ class Course(Yard):
     @property
     def sink(self) -> EngineHost:
         return self.server if self.topic.direction == "transmit" else self.robot
+
+    @property
+    def host_of_list(self) -> EngineHost:
+        return self.robot if self.lister == "robot" else self.server
 
     def route(self, host: EngineHost) -> Route:
         return self.routes(on_server=host is self.server)[self.name]
@@ -137,6 +140,11 @@ class Course(Yard):
         return max(each.age for each in self.heard)
 
     @property
+    def late(self) -> list[float]:
+        """When messages came after the gap that had waited."""
+        return [each.at for each in self.heard if each.age > _ON_THE_WAY and each.at >= self.back]
+
+    @property
     def live_after(self) -> float:
         """Seconds from the gap's end until a message came that was younger than 0.2 s."""
         return next(each.at for each in self.heard if each.at > self.back and each.age < _ON_THE_WAY) - self.back
@@ -145,19 +153,20 @@ class Course(Yard):
 # --- gaps
 
 
-async def cut(course: Course) -> None:
-    """Nothing passes, until both sides have given up the connection and after."""
+async def _cut(course: Course, seconds: float) -> None:
     ends = course.robot.machine, course.server.machine
     course.world.network.cut(*ends)
-    await asyncio.sleep(_GAP)
+    await asyncio.sleep(seconds)
     course.world.network.heal(*ends)
+
+
+async def cut(course: Course) -> None:
+    """Nothing passes, until both sides have given up the connection and after."""
+    await _cut(course, _GAP)
 
 
 async def short_cut(course: Course) -> None:
-    ends = course.robot.machine, course.server.machine
-    course.world.network.cut(*ends)
-    await asyncio.sleep(2.0)
-    course.world.network.heal(*ends)
+    await _cut(course, 2.0)
 
 
 async def half_open(course: Course) -> None:
@@ -186,7 +195,7 @@ async def sender_stops(course: Course) -> None:
 
 
 async def _edited(course: Course, **keys: Any) -> None:
-    host = course.robot if course.lister == "robot" else course.server
+    host = course.host_of_list
     run, route = host.run, course.route(host)
     assert run is not None
     await run.command(run.bridge.do(EditTopic(route.key, msgspec.structs.replace(route.spec, **keys))), "anna")
@@ -202,7 +211,7 @@ async def edited(course: Course) -> None:
 async def reloaded(course: Course) -> None:
     """It may be late by an edit until its file is read again."""
     await _edited(course, max_age=0.0)
-    host = course.robot if course.lister == "robot" else course.server
+    host = course.host_of_list
     run = host.run
     assert run is not None
     await run.command(run.bridge.reload(host.session, host.keys, dry_run=False), "anna")
@@ -290,7 +299,7 @@ def test_session_decides_about_late_commands(keys: dict[str, Any], all_wait: boo
 def test_state_is_live_at_once(gap: Any, protocol: Any, direction: Any) -> None:
     course = Course(Topic("/joints", direction, protocol=protocol, qos=500), type_name=JOINTS, qos=Qos(depth=500))
     course.play(gap)
-    late = [each.at for each in course.heard if each.age > _ON_THE_WAY and each.at >= course.back]
+    late = course.late
     assert late, "nothing waited"
     assert late[-1] - late[0] <= _LIVE_WITHIN
     made = [each.made for each in course.heard]
@@ -303,6 +312,6 @@ def test_state_is_live_at_once(gap: Any, protocol: Any, direction: Any) -> None:
 def test_what_is_wanted_whole_keeps_its_pace(keys: dict[str, Any], qos: Qos) -> None:
     course = Course(Topic("/joints", "transmit", **keys), type_name=JOINTS, qos=qos)
     course.play(cut)
-    late = [each.at for each in course.heard if each.age > _ON_THE_WAY and each.at >= course.back]
+    late = course.late
     assert late[-1] - late[0] > 1.0
     assert course.made - len(course.heard) <= 1

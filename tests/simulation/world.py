@@ -32,7 +32,6 @@ from tests.simulation.sessions import (
 from tests.simulation.sockets import simulated
 from tests.simulation.topic_flow import Account, TopicFlow, label_of
 from tests.simulation.world_log import WorldLog
-from tests.support.inside import publication_numbers_of
 
 from rsb_bridge.config.keys import Key
 from rsb_bridge.model.codes import EventCode
@@ -416,7 +415,7 @@ class World:
     def _subscribed(self, run: Run, reader: Reader, origin: object) -> None:
         halves = [route.half for link in run.links() if link.name == origin for route in link.routes.values()]
         senders = [half for half in halves if isinstance(half, Sender) and half.route.topic == reader.topic]
-        if not senders or reader.numbers is not publication_numbers_of(senders[0]):
+        if not senders or reader.numbers is not senders[0].subscription.numbers:
             return  # no sender's, or it looks how many messages a publisher keeps
         sender = senders[0]
         account = self.accounts.setdefault(sender, Account())

@@ -182,13 +182,13 @@ def is_accepted(engine: Engine, topic: str) -> bool:
     return bool(found) and all(route.life.accepted for route in found)
 
 
-def _halves(engine: Engine, kind: type[HalfT]) -> list[HalfT]:
+def halves(engine: Engine, kind: type[HalfT]) -> list[HalfT]:
     return [route.half for route in _routes(engine) if isinstance(route.half, kind)]
 
 
 def outgoing(engine: Engine, topic: str) -> Sender:
     """Return a topic's sender, whose counts are newer than the snapshot's."""
-    return next(sender for sender in _halves(engine, Sender) if sender.route.topic == topic)
+    return next(sender for sender in halves(engine, Sender) if sender.route.topic == topic)
 
 
 def route(engine: EngineApi, topic: str) -> RouteSnapshot:
@@ -247,7 +247,7 @@ def opened(receiver: Engine) -> set[str]:
     A side that has lost a route's channel closes it a moment before the other one hears of that.
     """
     found = set()
-    for half in _halves(receiver, Receiver):
+    for half in halves(receiver, Receiver):
         if half.route.connected:
             senders = _senders(receiver, half.route)
             if not senders or any(each.route.id == half.route.id and each.subscription.receives for each in senders):
@@ -262,28 +262,27 @@ def _senders(receiver: Engine, route: Route) -> list[Sender]:
     return [
         half
         for other in others
-        for half in _halves(other, Sender)
+        for half in halves(other, Sender)
         if (half.route.peer.name, half.route.topic, half.route.remote_topic) == names
     ]
 
 
 def listened_to(engine: Engine) -> set[str]:
     """The topics that an engine publishes to somebody, asked of the publishers: the snapshot may be 1 s behind."""
-    receivers = _halves(engine, Receiver)
+    receivers = halves(engine, Receiver)
     return {each.route.remote_topic for each in receivers if outputs_of(each).subscriber_count}
 
 
 def listeners(engine: Engine, topic: str) -> int:
     """How many subscriptions get what an engine publishes: a subscription may know of the publisher before that."""
     return sum(
-        outputs_of(each).subscriber_count for each in _halves(engine, Receiver) if each.route.remote_topic == topic
+        outputs_of(each).subscriber_count for each in halves(engine, Receiver) if each.route.remote_topic == topic
     )
 
 
 def feedback_listeners(engine: Engine) -> int:
     """Return the number of listeners to the feedback of the only action that an engine offers."""
-    halves = (route.half for route in _routes(engine) if route.proposal.kind == "action")
-    (found,) = (half for half in halves if isinstance(half, Caller))
+    (found,) = (half for half in halves(engine, Caller) if half.route.proposal.kind == "action")
     offered = found.offer.lanes.topics.get(FEEDBACK)
     return offered.publisher.subscriber_count if offered else 0
 

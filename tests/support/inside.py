@@ -23,14 +23,11 @@ if TYPE_CHECKING:
     from rsb_bridge.model.calls import Refused
     from rsb_bridge.ros.node import RosNode
     from rsb_bridge.ros.participant import Participant
-    from rsb_bridge.ros.publication_numbers import PublicationNumbers
     from rsb_bridge.route.calls.calls_half import CallsHalf
     from rsb_bridge.route.calls.paced_client import PacedClient
     from rsb_bridge.route.calls.pending_calls import PendingCalls
     from rsb_bridge.route.calls.provider import Provider
-    from rsb_bridge.route.ledger import RouteLedger
     from rsb_bridge.route.receiver import Receiver
-    from rsb_bridge.route.sender import Sender
     from rsb_bridge.route.source_publishers import SourcePublishers
     from rsb_bridge.transport.streams import Stream
     from rsb_bridge.wire.headers import CallFrame
@@ -96,15 +93,6 @@ def socket_of(stream: Stream) -> socket.socket:
     assert transport is not None
     found: socket.socket = transport.get_extra_info("socket")
     return found
-
-
-def ledger_of(sender: Sender) -> RouteLedger:
-    """Return a sender's own counts, which a snapshot has up to a second later."""
-    return sender.counts
-
-
-def publication_numbers_of(sender: Sender) -> PublicationNumbers:
-    return sender.subscription.numbers
 
 
 def outputs_of(receiver: Receiver) -> SourcePublishers:

@@ -89,7 +89,9 @@ def test_goal_that_may_have_begun_is_not_rejected(
     half.under_way.pending.begin(CallerCall(SEND_GOAL, len(GOAL), 0.0, server, b"caller", GOAL), None)
     half.deliver([(CallFrame(What.REFUSED, SEND_GOAL, 1, 0, why.encode()).pack(), 0, 0)])
     assert server.answered == ([b"caller"] if rejected else [])
-    assert [each.state for each in half.kind.goals.snapshot(half.kind.awaited())] == ["rejected" if rejected else "unknown"]
+    assert [each.state for each in half.kind.goals.snapshot(half.kind.awaited())] == [
+        "rejected" if rejected else "unknown"
+    ]
 
 
 def test_old_goal_is_refused_whatever_delayed_it(make_context: Callable[..., Context], loop: VirtualLoop) -> None:

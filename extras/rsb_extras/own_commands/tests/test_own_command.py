@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.support.other_user import OTHER, only_root
+from tests.support.other_user import only_root, theirs
 from tests.support.wording import says
 
 from rsb_console.actions.action import Group
@@ -119,26 +118,18 @@ def test_taken_key_names_both_and_keeps_others(tmp_path: Path, keys: str, key: s
     assert found.bell
 
 
-def _of_another_user(path: Path) -> None:
-    os.chown(path, OTHER, OTHER)
-
-
-def _in_another_folder(path: Path) -> None:
-    os.chown(path.parent, OTHER, OTHER)
-
-
 @pytest.mark.parametrize(
     "change",
     [
-        pytest.param(_of_another_user, marks=only_root),
-        pytest.param(_in_another_folder, marks=only_root),
+        pytest.param(theirs, marks=only_root),
+        pytest.param(lambda path: theirs(path.parent), marks=only_root),
         lambda path: path.chmod(0o666),
         lambda path: path.parent.chmod(0o777),
         None,
     ],
     ids=["owner", "folder's owner", "mode", "folder's mode", "nobody"],
 )
-def test_file_that_others_can_change_has_no_commands(tmp_path: Path, change: Callable[[Path], None] | None) -> None:
+def test_file_that_others_can_change_has_no_commands(tmp_path: Path, change: Callable[[Path], object] | None) -> None:
     path = tmp_path / "console.yaml"
     path.write_text("commands:\n  f9: {run: uptime}\n")
     if change is not None:

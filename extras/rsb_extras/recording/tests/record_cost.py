@@ -1,4 +1,4 @@
-"""Prints what recording costs a message, on the halves of a sender between stand-ins of DDS and link, off and on."""
+"""Prints what recording costs a message, on the halves of a route between stand-ins of DDS and link, off and on."""
 
 from __future__ import annotations
 
@@ -6,16 +6,15 @@ import time
 from random import Random
 from typing import TYPE_CHECKING
 
-from tests.route.test_loop_filter import FIRST, SCAN, Graph, Peer, World
+from tests.route.test_loop_filter import FIRST, Graph, world_of
 from tests.route.test_unpacking import OnePublisher, opened
-from tests.support.offline import FakePeer, half_of
+from tests.support.offline import FakePeer
 from tests.support.virtual_time import VirtualClock, virtual_loop
 
 from rsb_bridge.context import Context
-from rsb_bridge.model.session import Session, Topic
+from rsb_bridge.model.session import Session
 from rsb_bridge.ros.ros_interface import RawMessage
 from rsb_bridge.ros.ros_thread import RosToLoopQueue
-from rsb_bridge.route.sender import Sender
 from rsb_bridge.telemetry.event_log import EventLog
 from rsb_extras.recording.keeping import Keeping
 
@@ -48,17 +47,12 @@ def _context(loop: VirtualLoop, ros: object, record: object) -> Context:
 
 
 def _sending(loop: VirtualLoop, record: object) -> Callable[[int], None]:
-    graph, peer = Graph(), Peer()
-    context = _context(loop, graph, record)
-    sender = half_of(Sender, context, Topic(SCAN, "transmit"), peer)
-    sender.route.open(1)
-    sender.route.on_accepted()
-    peer.answer(sender)
-    world = World(sender, graph, peer, context, loop)
+    graph = Graph()
+    world = world_of(graph, _context(loop, graph, record), loop)
     numbers = iter(range(1, 1 << 40))
 
     def pass_on(together: int) -> None:
-        peer.channel.sent.clear()
+        world.peer.channel.sent.clear()
         world.path.offer([RawMessage(bytes(_SIZE), 1, FIRST, next(numbers), 0, 1) for _ in range(together)])
 
     return pass_on

@@ -13,7 +13,7 @@ import pytest
 from msgspec.structs import replace
 from tests.console.driving import NARROW, WIDE, on_main, shown
 from tests.console.scripted import ScriptedEngine, answers, refused
-from tests.support.other_user import OTHER, only_root
+from tests.support.other_user import only_root, theirs
 from tests.support.wording import says
 
 from rsb_bridge.api import EngineError
@@ -133,8 +133,7 @@ def _folder_that_is_a_link(recording: Path) -> Path:
 
 
 def _of_another_user(recording: Path) -> Path:
-    os.chown(recording, OTHER, OTHER)
-    return recording
+    return theirs(recording)
 
 
 def _too_large(recording: Path) -> Path:

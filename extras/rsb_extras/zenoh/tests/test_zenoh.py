@@ -22,7 +22,6 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from tests.support.bridge import balance, carries, connections, happened, heard, link, linked, outgoing, route, settled
 from tests.support.constants import STREAM_STALLED_AFTER
 from tests.support.domain import LATCHED, text
-from tests.support.inside import ledger_of
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
 
@@ -236,7 +235,7 @@ def test_stream_that_misses_sample_goes_on(
 
     def lossy(self: endpoints.ZenohEndpoint, sender: str, stream: str, attachment: bytes, payload: bytes) -> None:
         of_a_message = self._service == "server" and len(payload) >= LEAST_CHUNK  # a large one
-        if of_a_message and not lost and ledger_of(outgoing(client, "/odom")).offered == 4:
+        if of_a_message and not lost and outgoing(client, "/odom").counts.offered == 4:
             lost.append(stream)
             return
         take(self, sender, stream, attachment, payload)
