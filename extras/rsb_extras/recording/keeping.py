@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from msgspec.structs import replace
 
 from rsb_bridge.cdr.description import DescriptionError
-from rsb_bridge.config.files import UNFINISHED, make_folder, remove_file, why_not_written
+from rsb_bridge.config.files import UNFINISHED, make_folder, remove_file, stat_of, why_not_written
 from rsb_bridge.config.state_folder import state_folder
 from rsb_bridge.engine.part import EnginePart
 from rsb_bridge.link.extension import LinkError
@@ -204,8 +204,9 @@ class Keeping(EnginePart):
         """Write a file, on a thread."""
         make_folder(folder, 0o700)
         _remove_unfinished(folder, self._context.wall())
-        parts, files = folder.glob(f".*{UNFINISHED}"), folder.glob("*.mcap")
-        if (size := sum(each.stat().st_size for each in chain(parts, files))) > FOLDER_SIZE:
+        # Another bridge may finish one meanwhile.
+        found = map(stat_of, chain(folder.glob(f".*{UNFINISHED}"), folder.glob("*.mcap")))
+        if (size := sum(each.st_size for each in found if each is not None)) > FOLDER_SIZE:
             raise LinkError(KeepProblem.FOLDER_FULL(folder=folder, size=size / 1e9))
         path = _free_path(folder, stem)
         with new_recording(path) as recording:

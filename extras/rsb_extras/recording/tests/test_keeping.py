@@ -257,6 +257,13 @@ def test_what_killed_bridges_left_is_removed(talking: Engine, folder: Path) -> N
         keep(talking)
 
 
+def test_file_that_another_bridge_finishes_meanwhile_is_no_obstacle(talking: Engine, folder: Path) -> None:
+    """A link to nothing is listed, and is gone when it is asked for, as such a file is."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / f".gone.mcap{UNFINISHED}").symlink_to(folder / "nothing")
+    assert keep(talking).messages == 1
+
+
 def test_one_recording_is_written_at_a_time(talking: Engine) -> None:
     futures = [talking.do(KeepLast()) for _ in range(3)]
     texts = [str(future.exception(60) or "") for future in futures]
