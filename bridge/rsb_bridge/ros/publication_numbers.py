@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from enum import StrEnum
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
 _PUBLISHERS_REMEMBERED = 1024
 """Publishers of one topic whose newest numbers are kept. A round figure; see `PublicationNumbers._make_room`."""
@@ -20,6 +21,9 @@ class Untaken(StrEnum):
     LOST = "lost_in_dds"
     MISSED = "missed_while_down"
     UNSUBSCRIBED = "unsubscribed"
+
+
+_NONE_YET: Mapping[str, int] = MappingProxyType(dict.fromkeys(Untaken, 0))
 
 
 class PublicationNumbers:
@@ -40,7 +44,7 @@ class PublicationNumbers:
 
     def __init__(self, clock: Callable[[], float]) -> None:
         self.newest: dict[bytes, int] = {}
-        self.counts: dict[str, int] = dict.fromkeys(Untaken, 0)
+        self.counts: dict[str, int] = dict(_NONE_YET)
         self.gap = Untaken.UNSUBSCRIBED
         self._clock = clock
         self._before: dict[bytes, int] = {}  # the newest numbers of earlier subscriptions
