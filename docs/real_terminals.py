@@ -189,7 +189,8 @@ class Camera:
             found = when()
             if not (await found if not isinstance(found, bool) else found):
                 return False
-            await self._app.terminal_has_read()
+            if not self._app.takes_pictures:
+                return False
             before, picture = await asyncio.to_thread(window), await asyncio.to_thread(window)
             # An image that has just been replaced in part is none.
             if not good(picture) or upper_left(before).tobytes() != upper_left(picture).tobytes():

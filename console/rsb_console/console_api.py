@@ -44,12 +44,16 @@ class ConsoleShell(Protocol):
         preferences: the user's themes and keys.
         config: the folder that those are in.
         terminal: file descriptor of the terminal.
+        late: s by which the terminal's picture is older than the screen.
     """
 
     preferences: Preferences
     config: Path
     terminal: int
     refresh_rate: float
+
+    @property
+    def late(self) -> float: ...
 
     @property
     def readonly(self) -> bool:

@@ -7,15 +7,15 @@ import contextlib
 import os
 import signal
 import threading
-import time
 import traceback
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from platformdirs import user_log_path
+from rich.color import ColorSystem
 from rich.console import COLOR_SYSTEMS
-from textual import work
+from textual import events, work
 from textual._compositor import ChopsUpdate, LayoutUpdate
 from textual.app import App, ReturnType
 from textual.screen import SystemModalScreen
@@ -42,7 +42,9 @@ from rsb_console.screens.help import ActionsProvider
 from rsb_console.terminal import desktop_notification
 from rsb_console.terminal.driver import ConsoleDriver
 from rsb_console.terminal.input_queue import InputGate, InputQueue, is_guarded
+from rsb_console.terminal.line import Line
 from rsb_console.terminal.pulse import ASKED_EVERY
+from rsb_console.terminal.screen_writer import ScreenWriter
 from rsb_console.terminal.terminal_facts import facts_before_answers
 from rsb_console.widgets.lines import LOOK_CLASSES
 
@@ -50,16 +52,16 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
 
     from rich.console import RenderableType
-    from textual import events
     from textual.filter import LineFilter
     from textual.screen import Screen
+    from textual.widget import Widget
 
     from rsb_console.preferences import Setting
     from rsb_console.terminal.terminal_facts import TerminalFacts
 
 T = TypeVar("T")
-_READS_WITHIN, _LOOK_EVERY = 2.0, 0.01
-"""s to wait for a terminal that lags, and between two looks. Round figures."""
+_NO_LINE = Line(rate=float("inf"))
+"""Without a terminal, as in tests."""
 _ENDS_WITHIN = 10.0
 """s. A round figure: with much less, a busy machine would leave the terminal as the app has it."""
 
@@ -91,8 +93,10 @@ class TerminalApp(App[ReturnType]):
             young its keys are.
         terminal: file descriptor of the terminal.
         facts: what the terminal can show, as far as it is known.
-        text_drawn: published when Textual has written text: for each part of a line the row, the first column, and the
-            column behind the last one.
+        text_drawn: published when text was written: for each part of a line the row, the first column, and the column
+            behind the last one.
+        pictures: widgets whose content is written after all else.
+        writer: writes the screen to the terminal, or None without a terminal.
     """
 
     TITLE = "rsb-console"
@@ -126,6 +130,8 @@ class TerminalApp(App[ReturnType]):
         self.input_queue = InputQueue(self, dialogs)
         self.input_gate = InputGate(self)
         self.text_drawn: Signal[Sequence[tuple[int, int, int]]] = Signal(self, "text-drawn")
+        self.writer: ScreenWriter | None = None
+        self.pictures: set[Widget] = set()
         self._forced_end: threading.Timer | None = None
         self._line_filters: list[LineFilter] = [ControlFilter(), *([AsciiFilter()] if ascii_only else [])]
 
@@ -161,10 +167,10 @@ class TerminalApp(App[ReturnType]):
             self.set_interval(ASKED_EVERY, self._look_at_terminal)
 
     def _look_at_terminal(self) -> None:
-        if isinstance(self._driver, ConsoleDriver):
-            self._driver.catch_up()
-            if self.needs_young_keys or any(map(is_guarded, self.screen_stack)):
-                self._driver.ask()
+        if isinstance(self._driver, ConsoleDriver) and (
+            self.needs_young_keys or any(map(is_guarded, self.screen_stack))
+        ):
+            self._driver.ask_again()
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
         """Disable the actions that change something while read-only."""
@@ -175,6 +181,8 @@ class TerminalApp(App[ReturnType]):
 
     async def on_event(self, event: events.Event) -> None:
         """Handle an event as Textual does, but input only when it is its turn."""
+        if isinstance(event, events.Resize) and self.writer is not None:
+            self.writer.forget()
         # The queue comes first: until an event's turn, another screen may be on top, which takes late keys or does not.
         if self.input_queue.takes(event):
             return
@@ -182,43 +190,52 @@ class TerminalApp(App[ReturnType]):
             await super().on_event(event)
 
     def _display(self, screen: Screen[Any], renderable: RenderableType | None) -> None:
-        super()._display(screen, renderable)
-        if isinstance(renderable, ChopsUpdate):
-            self.text_drawn.publish(renderable.spans)
-        elif isinstance(renderable, LayoutUpdate):
-            region = renderable.region
-            self.text_drawn.publish([(y, region.x, region.right) for y in region.line_range])
+        if not isinstance(renderable, ChopsUpdate | LayoutUpdate) or not isinstance(self._driver, ConsoleDriver):
+            super()._display(screen, renderable)
+            if isinstance(renderable, ChopsUpdate):
+                self.text_drawn.publish(renderable.spans)
+            elif isinstance(renderable, LayoutUpdate):
+                region = renderable.region
+                self.text_drawn.publish([(y, region.x, region.right) for y in region.line_range])
+        elif self._running and not self._closed and not self._batch_count:
+            if self.writer is None:
+                self.writer = self.input_gate.sight = ScreenWriter(
+                    self, self._driver, self._colour_system, self.pictures, self.text_drawn.publish
+                )
+            self.writer.draw(renderable)
 
     # --- the terminal
 
     @property
-    def is_behind(self) -> bool:
-        """Whether the terminal reads so slowly that frames are dropped. The whole screen follows later."""
-        return isinstance(self._driver, ConsoleDriver) and self._driver.is_behind
+    def late(self) -> float:
+        """Seconds by which the terminal's picture is older than the screen, as far as is known."""
+        return 0.0 if self.writer is None else self.writer.late
+
+    @property
+    def takes_pictures(self) -> bool:
+        """Whether the terminal has all text, so that pictures in pixels may be written."""
+        return self.writer is None or self.writer.is_free
 
     @property
     def losses(self) -> int:
-        """Number of times that the terminal was cleared or missed a frame."""
+        """Number of times that the terminal was cleared."""
         return self._driver.losses if isinstance(self._driver, ConsoleDriver) else 0
+
+    def action_draw_again(self) -> None:
+        """Write the whole screen, as something else has written on the terminal."""
+        if self.writer is not None:
+            self.writer.forget()
+            self.writer.give()
 
     def write_to_terminal(self, sequence: str) -> None:
         """Write what Textual does not know of, such as an image. It has to leave cursor and colours as they were."""
         if sequence and isinstance(self._driver, ConsoleDriver):
             self._driver.write(sequence)
 
-    async def terminal_has_read(self) -> float:
-        """Wait until the terminal has read all that was written, if it answers questions, but not for long.
-
-        Returns:
-            The seconds that it took.
-        """
-        if not isinstance(self._driver, ConsoleDriver):
-            return 0.0
-        began = time.monotonic()
-        self._driver.ask()
-        while self._driver.pulse.heard_now < began and time.monotonic() - began < _READS_WITHIN:  # noqa: ASYNC110 -- the answer comes on a thread that knows no event loop
-            await asyncio.sleep(_LOOK_EVERY)
-        return time.monotonic() - began
+    @property
+    def line(self) -> Line:
+        """What is under way to the terminal."""
+        return self._driver.line if isinstance(self._driver, ConsoleDriver) else _NO_LINE
 
     # --- what screens ask
 
@@ -313,6 +330,12 @@ class TerminalApp(App[ReturnType]):
         """Have Textual write the colours that the terminal has: rich finds them out by TERM, and once."""
         if self.console.color_system is not None and self.facts.colours:
             vars(self.console)["_color_system"] = COLOR_SYSTEMS[self.facts.colour_system]  # no public way is there
+            if self.writer is not None:
+                self.writer.use_colours(self._colour_system)
+
+    @property
+    def _colour_system(self) -> ColorSystem:
+        return self.console._color_system or ColorSystem.TRUECOLOR
 
     def action_theme(self) -> None:
         names = sorted(self.available_themes)

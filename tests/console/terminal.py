@@ -2,6 +2,7 @@
 
 import fcntl
 import os
+import re
 import select
 import signal
 import struct
@@ -20,6 +21,10 @@ TAKE_TERMINAL = (
     "import fcntl, os, sys, termios; fcntl.ioctl({}, termios.TIOCSCTTY, 0); os.execvp(sys.argv[1], sys.argv[1:])"
 )
 """The program of a process that makes a descriptor its controlling terminal (ioctl_tty(2)) and becomes a command."""
+
+
+_LOOKS = re.compile(rb"\x1b\[[\d;]*m")
+"""SGR (ECMA-48)."""
 
 
 def _resize(terminal: int, columns: int, lines: int) -> None:
@@ -84,9 +89,9 @@ class Terminal:
             self.output += part
 
     def wait_for(self, words: str, seconds: float = 120.0, *, after: int = 0) -> None:
-        """Read until `words` have been written, beyond the first `after` bytes."""
+        """Read until `words` have been written, beyond the first `after` bytes, in any look if they name none."""
         deadline = time.monotonic() + seconds
-        while words.encode() not in self.output[after:]:
+        while words.encode() not in _LOOKS.sub(b"" if "\x1b" not in words else rb"\g<0>", self.output[after:]):
             assert time.monotonic() < deadline, f"no {words!r} within {seconds} s:\n{self.output[-400:]!r}"
             self.read(0.05)
 

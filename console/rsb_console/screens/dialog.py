@@ -163,15 +163,13 @@ class ConfirmScreen(ModalScreen[bool], GuardedScreen):
         # Without a terminal, as in tests, no input is late.
         if self.is_guarded and InputGate.of(self.app).is_on:
             self._instead_of_keys = _NO_KEYS_YET
-            # The time counts from the picture on: earlier, there is no question to answer.
-            self.call_after_refresh(self._begin_counting)
-
-    def _begin_counting(self) -> None:
-        self.drawn_at = time.monotonic()
-        self.set_interval(_LOOK_EVERY, self._name_keys_while_they_count)
+            self.call_after_refresh(self.set_interval, _LOOK_EVERY, self._name_keys_while_they_count)
 
     def _name_keys_while_they_count(self) -> None:
         gate, before = InputGate.of(self.app), self._instead_of_keys
+        if self.drawn_at is None and gate.has_shown(self.children[0].region):
+            # The time counts from the picture on: earlier, there is no question to answer.
+            self.drawn_at = time.monotonic()
         waits = _KEYS_AGAIN if gate.waits_for_key(self) else _NO_KEYS_YET
         self._instead_of_keys = "" if gate.takes_keys(self) else waits
         if self._instead_of_keys != before:

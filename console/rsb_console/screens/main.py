@@ -13,6 +13,7 @@ from rsb_bridge.model.snapshot import Level, State
 from rsb_bridge.model.wording import Wording
 from rsb_console.actions.action import NAMESPACE, FooterEntry, Group
 from rsb_console.actions.all_actions import BY_ID, bindings
+from rsb_console.terminal.input_queue import SEEN_AFTER
 from rsb_console.widgets.bars import BarState, KeyBar, KeyEntry, StatusBar, state_counts, warning_count
 from rsb_console.widgets.detail import DetailPane
 from rsb_console.widgets.fault_pane import Fault, FaultLines, MoreKeys, faults_of
@@ -44,6 +45,7 @@ class EmptyTable(Wording):
 class MainText(Wording):
     """Notes of the main screen."""
 
+    LATE = "YOUR LINE IS {late:.0f} s LATE: {key} sends less"
     READ_ONLY = "read-only: nothing can be changed here"
     IS_PATTERN = "{topic} is a pattern: choose a topic that it matches"
     NO_MESSAGES = "{topic} has calls, no messages"
@@ -68,7 +70,9 @@ class Explanations:
         if not note and engine is not None and engine.unreachable:
             note = f"✗ NOT ATTACHED: {engine.unreachable}"
         attached = bool(console.attached_to)
-        return BarState(session, console.refresh_rate, frozen_since, console.readonly, note, way_on, attached=attached)
+        late = MainText.LATE(late=max(1.0, console.late), key=self.key("slower")) if console.late > SEEN_AFTER else ""
+        rate, readonly = console.refresh_rate, console.readonly
+        return BarState(session, rate, frozen_since, readonly, note, way_on, attached=attached, late=late)
 
     def faults(self, snapshot: Snapshot, events: Sequence[Event]) -> list[Fault]:
         """Return the reason why the engine does not run, if it has logged one."""

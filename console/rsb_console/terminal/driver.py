@@ -1,4 +1,4 @@
-"""The terminal under the app, and its clipboard. If it stops reading, only frames are lost."""
+"""The terminal under the app, and its clipboard. If it stops reading, the app goes on."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from queue import Full
 from typing import TYPE_CHECKING, Any
 
 from textual import events
+from textual._ansi_sequences import SYNC_END, SYNC_START
 from textual._parser import ParseTimeout
 from textual._xterm_parser import XTermParser
 from textual.drivers import linux_driver
@@ -22,7 +23,8 @@ from textual.screen import Screen
 
 from rsb_bridge.config.files import make_folder, owner_only
 from rsb_console.terminal import terminal_facts
-from rsb_console.terminal.pulse import KIND, WHO_ARE_YOU, Pulse, without_answers
+from rsb_console.terminal.line import Line, rate_of
+from rsb_console.terminal.pulse import ASKED_EVERY, KIND, WHO_ARE_YOU, Pulse, without_answers
 from rsb_console.terminal.tmux import tmux
 
 if TYPE_CHECKING:
@@ -139,6 +141,8 @@ async def _on_resize(screen: Screen[Any], event: events.Resize) -> None:
 
 Screen._on_resize = _on_resize  # type: ignore[method-assign, assignment]
 
+_WAITED = 0.02
+"""s from which on the kernel let a write wait."""
 _LOOK_EVERY_MS = 500
 """ms until the watch for a hangup notices that the app has ended. The kernel reports a hangup itself at once."""
 _LAST_ANSWER_WITHIN, _LOOK_EVERY = 0.3, 0.01
@@ -180,21 +184,30 @@ class TerminalFile:
 
     A write to a terminal that does not read may never return. A buffered stream would stay locked then, and delay the
     interpreter's exit.
+
+    Attributes:
+        texts: number of texts that were written.
     """
 
-    def __init__(self, fd: int, gone: Callable[[], None]) -> None:
+    def __init__(self, fd: int, gone: Callable[[], None], line: Line) -> None:
+        self.texts = 0
         self._fd = fd
         self._gone: Callable[[], None] | None = gone
+        self._line = line
 
     def write(self, text: str) -> None:
         """Write all of `text`. It blocks while the terminal does not read, and does nothing once it is gone."""
-        data = text.encode("utf-8", "replace")
+        data, began = text.encode("utf-8", "replace"), time.monotonic()
+        size = len(data)
         while data and self._gone is not None:
             try:
                 # A terminal may take a part only.
                 data = data[os.write(self._fd, data) :]
             except OSError:
                 self.hung_up()
+        if (seconds := time.monotonic() - began) > _WAITED:
+            self._line.waited(size, seconds)
+        self.texts += 1
 
     def hung_up(self) -> None:
         gone, self._gone = self._gone, None
@@ -211,19 +224,21 @@ class TerminalFile:
 class ConsoleDriver(LinuxDriver):
     """Textual's driver, whose `write` never blocks the app.
 
-    Textual passes frames to a thread through a queue of 30, and blocks the app, with its keys and signals, while that
-    is full. This driver drops frames that do not fit, and redraws the whole screen once the terminal reads again.
+    Textual passes what it writes to a thread through a queue of 30, and blocks the app, with its keys and signals,
+    while that is full. Frames come only while it is empty (`ScreenWriter`); of the rest, what does not fit is dropped.
 
     Attributes:
-        is_behind: whether it drops them.
-        losses: number of times that the terminal was cleared or missed a frame.
+        line: what is under way to the terminal.
+        losses: number of times that the terminal was cleared.
     """
 
     def __init__(self, app: Any, **options: Any) -> None:
         super().__init__(app, **options)
-        self._file: Any = TerminalFile(app.terminal, app.terminal_gone)
-        self.is_behind = False
+        self.line = Line(rate=rate_of(app.terminal))
+        self._file: Any = TerminalFile(app.terminal, app.terminal_gone, self.line)
         self.losses = 0
+        self._texts = 0
+        self._waits_since = 0.0
         self._unwatched = threading.Event()
         self._continuing = False
         self._asks = False
@@ -248,21 +263,35 @@ class ConsoleDriver(LinuxDriver):
 
     def write(self, data: str) -> None:
         """Pass `data` on to the terminal, or drop it while the queue is full."""
-        self.catch_up()
-        try:
+        if not self._waits:
+            self._waits_since = time.monotonic()
+        with contextlib.suppress(Full):
             self._queue.put_nowait(data)
-        except Full:
-            self.is_behind = True
+            self._texts += 1
+            self.line.wrote(len(data) if data.isascii() else len(data.encode("utf-8", "replace")))
 
-    def catch_up(self) -> None:
-        """Have the whole screen redrawn if frames were dropped and the terminal reads again.
+    def write_frame(self, text: str, *, whole: bool) -> None:
+        """Write a frame, which the terminal shows at once if it is to be whole and the terminal can do so."""
+        synchronized: bool = whole and self._app._sync_available
+        self.write(f"{SYNC_START}{text}{SYNC_END}" if synchronized else text)
+        if self.line.is_to_be_asked:
+            self.ask()
 
-        The app calls this now and then, too: the last frame may be among them, with no other to come.
-        """
-        if self.is_behind and self._queue.empty():
-            self.is_behind = False
-            self.losses += 1
-            self._app.call_later(self._app.refresh)
+    @property
+    def _waits(self) -> bool:
+        """Whether the thread has not yet written all."""
+        file: TerminalFile = self._file
+        return file.texts != self._texts
+
+    @property
+    def is_free(self) -> bool:
+        """Whether the next frame may be written."""
+        return not self._waits and self.line.is_free
+
+    @property
+    def late(self) -> float:
+        """Seconds until the terminal has all that was written, as far as is known."""
+        return max(self.line.late, time.monotonic() - self._waits_since if self._waits else 0.0)
 
     # --- the terminal's pulse
 
@@ -290,17 +319,24 @@ class ConsoleDriver(LinuxDriver):
             self._title = title
             self.write(f"\x1b]0;{title}\x07")
 
+    def ask_again(self) -> None:
+        """Ask, unless a frame has just done so."""
+        if time.monotonic() - self.pulse.asked > ASKED_EVERY / 2:
+            self.ask()
+
     def ask(self) -> None:
         """Ask the terminal for a sign that it gets what is written, and that its keys come here."""
-        # While frames are dropped, the question would be, too, and count as one that the terminal does not answer.
-        if self._asks and not self.is_behind and (question := self.pulse.question()):
+        # While the queue is full, the question would be dropped, and count as one that the terminal does not answer.
+        if self._asks and not self._queue.full() and (question := self.pulse.question()):
             self.write(question)
+            self.line.asked(self.pulse.asked)
 
     def process_message(self, message: Message) -> None:
         """Take the terminal's answers, and note how young its keys are."""
         match message:
             case events.CursorPosition():
-                self.pulse.answered(message.y + 1, message.x + 1)
+                if self.pulse.answered(message.y + 1, message.x + 1):
+                    self.line.answered(self.pulse.heard)
                 return
             case events.Key(key=key, character=answer) if key == _FACT:
                 self._take_facts(self._facts.told(answer or ""))

@@ -11,7 +11,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections import deque
-from typing import TYPE_CHECKING, Any, ClassVar, Final, TypeGuard
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Protocol, TypeGuard
 from weakref import WeakKeyDictionary, WeakSet
 
 from textual import events
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator
 
     from textual.app import App
+    from textual.geometry import Region
     from textual.message import Message
     from textual.message_pump import MessagePump
 
@@ -190,6 +191,20 @@ class GuardedScreen(Screen[Any]):
         return False
 
 
+class Sight(Protocol):
+    """What a terminal has of the screen.
+
+    Attributes:
+        late: s by which it has an older picture.
+    """
+
+    @property
+    def late(self) -> float: ...
+
+    def has(self, region: Region) -> bool:
+        """Whether it has all of a region, or soon will."""
+
+
 class InputGate:
     """Decides which input a `GuardedScreen` gets.
 
@@ -198,12 +213,14 @@ class InputGate:
 
     Attributes:
         pulse: the terminal's, or None without a terminal: then no input is late.
+        sight: what the operator sees of the screen, or None if that is all.
         is_young: whether the newest input, which the app handles now, is certainly young.
         came_at: s, when that input came to this process.
     """
 
     def __init__(self, app: App[Any], clock: Callable[[], float] = time.monotonic) -> None:
         self.pulse: Pulse | None = None
+        self.sight: Sight | None = None
         self.is_young = True
         self.came_at = float("inf")
         self._app = app
@@ -222,8 +239,16 @@ class InputGate:
         return self.pulse is not None
 
     def is_late(self, event: Message) -> bool:
-        """Whether an event from the terminal may be older than `FRESH_FOR`."""
-        return self.is_on and self._clock() - heard_before(event) >= FRESH_FOR
+        """Whether an event from the terminal may be older than `FRESH_FOR`, or is about what is not seen any more.
+
+        A terminal that answers proves both at once: an answer comes behind the picture that it has.
+        """
+        if not self.is_on:
+            return False
+        heard = heard_before(event)
+        is_proven = heard < float("inf") or not is_from_terminal(event)
+        is_blind = not is_proven and self.sight is not None and self.sight.late > SEEN_AFTER
+        return is_blind or self._clock() - heard >= FRESH_FOR
 
     def refuses(self, event: Message, screen: Screen[Any]) -> bool:
         """Whether a screen must not get an event; the operator gets the reason."""
@@ -260,6 +285,10 @@ class InputGate:
     def takes_keys(self, screen: GuardedScreen) -> bool:
         """Whether a key that is pressed now would count."""
         return self.pulse is None or self._was_seen(screen, self._clock(), self.pulse.heard_now)
+
+    def has_shown(self, region: Region) -> bool:
+        """Whether the terminal has a part of the screen."""
+        return self.sight is None or self.sight.has(region)
 
     def waits_for_key(self, screen: GuardedScreen) -> bool:
         """Whether a question has to be shown again, at any key, before it can be answered.

@@ -68,12 +68,13 @@ class Pulse:
         environ: the environment, which names some multiplexers.
 
     Attributes:
+        asked: when the newest question was asked.
         heard: when the question was asked that was answered last, or minus infinity.
         round_trip: s that its answer took, or None before the first one.
     """
 
     def __init__(self, environ: Mapping[str, str], clock: Callable[[], float] = time.monotonic) -> None:
-        self.heard = float("-inf")
+        self.asked = self.heard = float("-inf")
         self.round_trip: float | None = None
         self._clock = clock
         self._open: deque[tuple[tuple[int, int], float]] = deque()
@@ -113,19 +114,21 @@ class Pulse:
             row, column = place = _PLACES[self._next]
             self._next = (self._next + 1) % len(_PLACES)
             self._open.append((place, now))
+            self.asked = now
         return f"\x1b7\x1b[{row};{column}H\x1b[6n\x1b8"
 
-    def answered(self, row: int, column: int) -> None:
-        """Take an answer. One that nobody has asked for changes nothing."""
+    def answered(self, row: int, column: int) -> bool:
+        """Take an answer; return whether somebody has asked for it. If not, it changes nothing."""
         place = row, column
         with self._lock:
             asked = next((at for known, at in self._open if known == place), None)
             if asked is None:
-                return
+                return False
             # Answers come in order, so questions before this one will get none.
             while self._open.popleft()[0] != place:
                 pass
             self.heard, self.round_trip = asked, self._clock() - asked
+        return True
 
     def is_kind(self, kind: str) -> None:
         """Take the terminal's kind, as it answers `WHO_ARE_YOU`."""

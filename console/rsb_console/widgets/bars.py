@@ -36,6 +36,7 @@ class BarState:
     note: str = ""  # in place of the link's state while no engine runs
     way_on: str = ""  # the step that starts an engine that does not run
     attached: bool = False  # the engine runs in another process
+    late: str = ""  # how late the operator's line is, and what to do
 
 
 class StatusBar(LiveLines):
@@ -223,7 +224,9 @@ def _view(snapshot: Snapshot, view: BarState) -> Line:
         pieces.append((f"{view.session} · ", "dim"))
     if snapshot.unsaved:
         pieces.append(("● unsaved  ", "stale"))
-    if view.frozen_since is None:
+    if view.late:
+        pieces.append((f" {view.late} ", "alarm"))
+    elif view.frozen_since is None:
         pieces.append((f"LIVE {view.refresh:g} Hz ", "dim"))
     else:
         pieces.append((f" VIEW FROZEN {formats.clock(snapshot.time - view.frozen_since)} ", "alarm"))

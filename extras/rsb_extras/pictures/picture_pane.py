@@ -39,6 +39,8 @@ _LOOKS = {
     "robot": "ok", "path": "key", "curve": "plot", "free": "dim", "goal": "stale", "lethal": "down",
 }  # fmt: skip
 """The theme's look of each style of a picture that has another name there."""
+_TRIES, _LOOK_EVERY = 100, 0.02
+"""Looks whether a terminal that lags has the picture, 2 s in all, and s between them. Round figures."""
 _COVERED_EVERY = 0.1
 """s between two looks for what stands on an image: a message that comes is hidden for so long at most."""
 
@@ -57,6 +59,10 @@ class PicturePane(Widget, can_focus=True):
         self._painter: Painter | None = None
         self._covered: frozenset[int] = frozenset()
         self._losses = 0
+        self._owes = False
+        """Whether the newest image waits for the terminal."""
+        self.image_bytes = 0
+        """Bytes of the newest image to the terminal."""
 
     class Clicked(TextualMessage):
         """A cell was clicked."""
@@ -72,8 +78,10 @@ class PicturePane(Widget, can_focus=True):
     def on_mount(self) -> None:
         self.set_interval(_COVERED_EVERY, self._paint)
         self.terminal.text_drawn.subscribe(self, self._drawn_over, immediate=True)
+        self.terminal.pictures.add(self)
 
     def on_unmount(self) -> None:
+        self.terminal.pictures.discard(self)
         self.take_image_away()
 
     def on_resize(self) -> None:
@@ -109,6 +117,7 @@ class PicturePane(Widget, can_focus=True):
         frame, first_id = frame_of(image, wish), painter.first_id
         make = partial(bands_of, image, frame, cell, facts.pixels, first_id, paper, before, few_colours=few_colours)
         self._bands, self._frame = await asyncio.to_thread(make), frame
+        self._owes = True
         self._covered = self._rows_under_boxes()
         hidden = {row for band in self._bands if band.is_under(self._covered) for row in band.range}
         rows = await asyncio.to_thread(blocks) if hidden else []
@@ -128,14 +137,18 @@ class PicturePane(Widget, can_focus=True):
 
     def _paint(self) -> None:
         """Send what the terminal lacks of the image, but nothing on boxes: Textual would not draw them again."""
-        if self._painter is None or not self._bands or not self.is_attached or self.terminal.is_behind:
+        if self._painter is None or not self._bands or not self.is_attached:
+            return
+        if not self.terminal.takes_pictures:
             return  # it is called again in a moment
         before, self._covered = self._covered, self._rows_under_boxes()
         if self._losses != self.terminal.losses:
             self._losses = self.terminal.losses
             self._painter.lost()
         at = self.content_region.offset
-        self.terminal.write_to_terminal(self._painter.painted(self._bands, (at.x, at.y), self._covered))
+        sequence = self._painter.painted(self._bands, (at.x, at.y), self._covered)
+        self.terminal.write_to_terminal(sequence)
+        self._owes, self.image_bytes = False, len(sequence) if self._owes else self.image_bytes
         if self._covered != before:
             self.cover_changed()
 
@@ -149,8 +162,15 @@ class PicturePane(Widget, can_focus=True):
             self._painter.overwritten(rows)
             self._paint()
 
+    async def is_taken(self) -> None:
+        """Wait until the terminal has the picture, but not for long."""
+        for _try in range(_TRIES):
+            await asyncio.sleep(_LOOK_EVERY)
+            if not self._owes and self.terminal.takes_pictures:
+                return
+
     def take_image_away(self) -> None:
-        self._bands = []
+        self._bands, self._owes = [], False
         if self._painter is not None:
             self.terminal.write_to_terminal(self._painter.taken_away())
 

@@ -68,8 +68,9 @@ _PUBLISH = next((action.with_message for action in ACTIONS if action.with_messag
 _TURN = 15.0
 """Degrees by which a key turns a goal."""
 _GOAL_TOPIC = "/goal_pose"
-_SLOW, _MOST_STRAIN = 0.3, 2
-"""s that a terminal may take for a picture, in which keys wait; and how often its resolution is halved."""
+_SLOW, _IN_CHARACTERS = 0.3, 3
+"""s that a line may take for an image, in which keys wait; and how often its resolution is halved until it is drawn in
+characters, which come in pieces between other things."""
 _COST_OVER = 5.0
 """s over which the cost of a tile is measured."""
 
@@ -79,6 +80,7 @@ class ViewText(Wording):
     AWAY = "OLD PICTURE: {link} is not linked: {reason}"
     HELD = "HELD: space goes on"
     OLD = "{age} old"
+    TO_TERMINAL = "{rate} to this terminal"
     SIDE = "drawn by {side}"
     FEW_COLOURS = "{colours} colours: COLORTERM=truecolor or terminal: {{colours: true}} in console.yaml shows more"
     WRITTEN = "written: {files}"
@@ -200,7 +202,8 @@ class PictureTile(Tile):
 
     @property
     def _shows_pixels(self) -> bool:
-        return not self.terminal.ascii_only and protocol_of(self.terminal.facts) != ""
+        can = not self.terminal.ascii_only and protocol_of(self.terminal.facts) != ""
+        return can and self._strain < _IN_CHARACTERS
 
     # -- pictures -----------------------------------------------------------------------------------------------------
 
@@ -231,7 +234,8 @@ class PictureTile(Tile):
                 self._viewed, self._came = viewed, time.monotonic()
             self._waiting = picture.waiting
             await self._show_content()
-            self._spare(await self.terminal.terminal_has_read())
+            await self.is_taken()
+            self._spare()
 
     def _ask_anew_soon(self) -> None:
         """Put the present wish in the place of the one that waits, so that a key has its effect at once.
@@ -247,14 +251,15 @@ class PictureTile(Tile):
         if self._asked is not None:
             self._asked.cancel()
 
-    def _spare(self, seconds: float) -> None:
-        """Send fewer bytes to a terminal that took so long for a picture, as keys wait behind it; or more again."""
-        before = self._strain
-        if seconds > _SLOW:
-            self._strain = min(_MOST_STRAIN, self._strain + 1)
-        elif seconds < _SLOW / 4:
-            self._strain = max(0, self._strain - 1)
-        if self._strain != before and self._shows_pixels:
+    def _spare(self) -> None:
+        """Draw fewer pixels, and at last characters, for a line that takes long for an image; or more again."""
+        before, seconds = self._strain, self.image_bytes / self.terminal.line.rate
+        finer = seconds * (4 if self._shows_pixels else 1)
+        if self._shows_pixels and seconds > _SLOW:
+            self._strain += 1
+        elif self._strain and finer < _SLOW / 2:
+            self._strain -= 1
+        if self._strain != before:
             self.fit()
 
     async def _next(self) -> Viewed | None:
@@ -356,12 +361,13 @@ class PictureTile(Tile):
         side = other_side(self.console.snapshot().role, where) if where else "this side"
         picture, parts = self._viewed.picture, [self._reasons()]
         if self._viewed.age is not None:
-            age = self._viewed.age + time.monotonic() - self._came
+            age = self._viewed.age + time.monotonic() - self._came + self.terminal.late
             parts.append(ViewText.OLD(age=formats.age(age)))
         return [
             *parts,
             *picture.notes,
             formats.byte_rate(self.cost) if where else "",
+            ViewText.TO_TERMINAL(rate=formats.byte_rate(sent)) if (sent := self.terminal.line.per_second) else "",
             ViewText.SIDE(side=side),
             f"at most {self._wish.rate:g} Hz",
             self._how_shown if isinstance(picture.content, Pixels) else "",

@@ -13,12 +13,14 @@ import pytest
 from sensor_msgs.msg import Image
 from tests.console.driving import WIDE, on_main, put, shown, text, until
 from tests.console.scripted import route
+from tests.support import replaced
 from textual.geometry import Offset, Region
 from textual.screen import ModalScreen
 from textual.widgets import Static
 
 from rsb_bridge.model.snapshot import ArmingSnapshot
 from rsb_console.app import ConsoleApp
+from rsb_console.terminal.line import Line
 from rsb_extras.driving.drive_screen import DriveScreen
 from rsb_extras.pictures.graphics import BANDS
 from rsb_extras.pictures.picture import Pixels
@@ -321,20 +323,19 @@ async def test_new_title_below_box_leaves_sixels(app: ConsoleApp, pilot: Pilot[N
 
 @pytest.mark.parametrize("covered", [False, True])
 @on_list
-async def test_proportions_hold_while_terminal_is_slow(app: ConsoleApp, pilot: Pilot[None], covered: bool) -> None:
-    """An image with fewer pixels is asked for, and until it comes the one before is in sight."""
+async def test_proportions_hold_while_line_is_slow(
+    app: ConsoleApp, pilot: Pilot[None], covered: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An image with fewer pixels is asked for, and until it comes the one before is in sight; at last characters."""
     cell, name = (7.0, 15.0), "kitty"
     written = await in_pixels(pilot, "kitty", cell, name)
 
-    async def slowly() -> float:
-        return 1.0
-
-    vars(app)["terminal_has_read"] = slowly
+    replaced.NO_LINE.set(monkeypatch, Line(rate=100.0))
     wish = looks(engine_of(app))[-1][1]
     if covered:
         await app.push_screen(Box(Region(0, 0, *app.size)))
     densities = []
-    for bright in range(200, 240, 10):
+    for bright in range(200, 230, 10):
         densities.append((wish.across, wish.down))
         before, wish = wish, await comes(pilot, viewed(camera(wish, bright)))
         if covered:
@@ -346,7 +347,10 @@ async def test_proportions_hold_while_terminal_is_slow(app: ConsoleApp, pilot: P
             high = sum(height for *_, height in written.shown().values())
         assert wide * cell[0] / (high * cell[1]) == pytest.approx(4 / 3, rel=0.05), (before, wish)
     assert densities[0] == (7, 15)
-    assert densities[-1] == (2, 4)
+    if not covered:  # then nothing is sent
+        assert densities[-1] == (2, 4)
+        await comes(pilot, viewed(camera(wish, 230)))
+        await until(pilot, lambda: len(edges(app)) > 1, "characters")
 
 
 def camera(wish: Wish, bright: int) -> Pixels:

@@ -1,0 +1,314 @@
+"""What a terminal has of the screen, cell by cell, and the shortest text that gives it what it lacks.
+
+Textual draws each region that was touched, whether its characters differ or not. Over a slow line that is most of what
+is sent; so what Textual draws is kept here, and only cells that differ from the terminal's are written.
+
+Source of the sequences: ECMA-48 (CUP, CUF, CUD, SGR).
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from itertools import pairwise
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from rich.cells import split_graphemes
+from textual._compositor import ChopsUpdate, LayoutUpdate
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+
+    from rich.color import ColorSystem
+    from rich.style import Style
+    from textual.geometry import Region, Size
+    from textual.strip import Strip
+
+_ATTRIBUTES: Final = ("1", "2", "3", "4", "5", "6", "7", "8", "9", "21", "51", "52", "53")
+"""SGR's code of each attribute of `rich.style.Style`, from its lowest bit."""
+_SEEN_ON_BLANKS: Final = frozenset({"4", "7", "9", "21", "51", "52", "53"})
+"""The attributes that show where no character is."""
+_OWN_INK, _OWN_PAPER = "39", "49"
+_JUMP: Final = 6
+"""Cells that are written again rather than jumped over: a sequence that jumps is as long."""
+_BACK: Final = 3
+"""Cells back and one down that are shorter one by one than as a place."""
+FIRST, USUAL, LAST = range(3)
+"""What is written before what: what a key may have done, the rest, and pictures."""
+
+
+class Look(NamedTuple):
+    """The look of a cell as SGR's parameters; of a blank one, the ink is an empty string.
+
+    Attributes:
+        attributes: such as ``1;7``.
+        ink: colour of the character.
+        paper: colour behind it.
+    """
+
+    attributes: str
+    ink: str
+    paper: str
+
+
+class Cell(NamedTuple):
+    """A cell of the screen.
+
+    Attributes:
+        text: the character, or an empty string behind a wide one.
+        look: its look.
+    """
+
+    text: str
+    look: Look
+
+
+class Run(NamedTuple):
+    """Neighbouring cells in one row, in which the terminal lacks something."""
+
+    rank: int
+    row: int
+    left: int
+    right: int
+
+
+class Frame(NamedTuple):
+    """What brings the terminal nearer to the screen.
+
+    Attributes:
+        text: to be written, or empty if the terminal lacks nothing.
+        spans: where it writes: row, first column, and the column behind the last one.
+        lacks: the rank of the first thing that the terminal lacks after it, or None.
+    """
+
+    text: str
+    spans: Sequence[tuple[int, int, int]]
+    lacks: int | None
+
+
+class Frames:
+    """The screen as Textual drew it last, and as the terminal has it.
+
+    Args:
+        colours: the terminal's colours.
+    """
+
+    def __init__(self, colours: ColorSystem) -> None:
+        self.colours = colours
+        self._wanted: list[list[Cell]] = []
+        self._shown: list[list[Cell | None]] = []
+        self._changed: set[int] = set()
+        self._begin_at = (0, 0)
+        """The row and column with which the next frame begins: where the last one ended, if it was cut short."""
+
+    def resize(self, size: Size) -> None:
+        """Take the screen's size; what the terminal has in another size is not known."""
+        if (size.height, size.width) != (len(self._wanted), len(self._wanted[0]) if self._wanted else 0):
+            blank = Cell(" ", Look("", "", _OWN_PAPER))
+            self._wanted = [[blank] * size.width for _ in range(size.height)]
+            self._shown = [[None] * size.width for _ in range(size.height)]
+            self._changed.clear()
+
+    def forget(self) -> None:
+        """Note that the terminal may show anything."""
+        self._shown = [[None] * len(row) for row in self._shown]
+        self._changed = set(range(len(self._wanted)))
+
+    def draw(self, update: ChopsUpdate | LayoutUpdate) -> None:
+        """Take what Textual has drawn."""
+        if isinstance(update, LayoutUpdate):
+            for y, strips in enumerate(update.strips, update.region.y):
+                self._put(y, update.region.x, strips)
+            return
+        for y in {y for y, _, _ in update.spans}:
+            for x, strip in update.chops[y].items():
+                if strip is not None:
+                    self._put(y, x, (strip,))
+
+    def _put(self, y: int, x: int, strips: Iterable[Strip]) -> None:
+        if y >= len(self._wanted):
+            return
+        row, width = self._wanted[y], len(self._wanted[y])
+        if 0 < x < width and not row[x].text:  # half of a wide character stays
+            row[x - 1] = _blank(row[x].look)
+        for strip in strips:
+            for text, style, _ in strip:
+                cells = _cells(text, _look(style, self.colours))[: max(0, width - x)]
+                row[x : x + len(cells)] = cells
+                x += len(cells)
+        if x < width and not row[x].text:
+            row[x] = _blank(row[x].look)
+        self._changed.add(y)
+
+    def lacks(self, region: Region) -> bool:
+        """Whether the terminal was not yet given all of a region."""
+        columns = slice(region.x, region.right)
+        return any(self._wanted[y][columns] != self._shown[y][columns] for y in region.line_range if y in self._changed)
+
+    def next(self, most: float, first: Sequence[Region], last: Sequence[Region]) -> Frame:
+        """Return the next frame, and count it as shown.
+
+        Args:
+            most: bytes, with which it ends once it has something.
+            first: regions that come before all others.
+            last: regions that come after them.
+        """
+        self._changed = {y for y in self._changed if self._wanted[y] != self._shown[y]}
+
+        def in_order(run: Run) -> tuple[int, bool, int, int]:
+            return run.rank, (run.row, run.left) < self._begin_at, run.row, run.left
+
+        runs = sorted(self._runs(first, last), key=in_order)
+        pen, spans = _Pen(most), []
+        for run in runs:
+            written = pen.write(self._wanted[run.row], run)
+            self._shown[run.row][run.left : written] = self._wanted[run.row][run.left : written]
+            if written > run.left:
+                spans.append((run.row, run.left, written))
+            if written < run.right:
+                self._begin_at = run.row, written
+                return Frame(pen.text, spans, run.rank)
+        self._begin_at = (0, 0)
+        self._changed.clear()
+        return Frame(pen.text, spans, None)
+
+    def _runs(self, first: Sequence[Region], last: Sequence[Region]) -> Iterator[Run]:
+        for y in self._changed:
+            wanted, shown = self._wanted[y], self._shown[y]
+            edges = {0, len(wanted), *([self._begin_at[1]] if y == self._begin_at[0] else [])}
+            for left, right, rank in _ranked(y, edges, first, last):
+                for begin, end in _differing(wanted, shown, left, right):
+                    yield Run(rank, y, begin, end)
+
+
+class _Pen:
+    """Writes cells one after the other, with as few sequences as they need."""
+
+    def __init__(self, most: float) -> None:
+        self._most = most
+        self._parts: list[str] = []
+        self._size = 0
+        self._look = Look("", _OWN_INK, _OWN_PAPER)
+        self._at: tuple[int, int] | None = None
+        """Row and column of the cursor, if they are known."""
+
+    @property
+    def text(self) -> str:
+        """What was written, which leaves the terminal's own colours."""
+        return "".join((*self._parts, "\x1b[m")) if self._parts else ""
+
+    def write(self, row: Sequence[Cell], run: Run) -> int:
+        """Write a run, or a part of it; return the column behind the last one that was written."""
+        for x in range(run.left, run.right):
+            text, look = row[x]
+            if not text:
+                continue
+            if self._size >= self._most:
+                return x
+            self._move(run.row, x)
+            self._take(look)
+            self._add(text)
+            # Terminals do not agree how wide some are, nor where the cursor is behind the last column.
+            is_known = x + 1 < len(row) and len(text) == 1 and row[x + 1].text != ""
+            self._at = (run.row, x + 1) if is_known else None
+        return run.right
+
+    def _add(self, text: str) -> None:
+        self._parts.append(text)
+        self._size += len(text) if text.isascii() else len(text.encode("utf-8", "replace"))
+
+    def _move(self, y: int, x: int) -> None:
+        if self._at == (y, x):
+            return
+        down, right = (y - self._at[0], x - self._at[1]) if self._at is not None else (-1, 0)
+        if down == 0 and right > 0:
+            self._add(f"\x1b[{right}C" if right > 1 else "\x1b[C")
+        elif down == 1 and -_BACK <= right <= 0:
+            self._add("\b" * -right + "\x1b[B")
+        else:
+            self._add(f"\x1b[{y + 1};{x + 1}H" if x else f"\x1b[{y + 1}H")
+
+    def _take(self, look: Look) -> None:
+        if look == self._look:
+            return
+        had = self._look
+        if not look.ink:  # blank: neither ink nor weight are seen
+            seen = _SEEN_ON_BLANKS.isdisjoint(had.attributes.split(";"))
+            look = Look(had.attributes if seen else "", had.ink, look.paper)
+        codes = []
+        if look.attributes != had.attributes:
+            if had.attributes:
+                codes.append("0")
+                had = Look("", _OWN_INK, _OWN_PAPER)
+            codes += [look.attributes] if look.attributes else []
+        codes += [look.ink] if look.ink != had.ink else []
+        codes += [look.paper] if look.paper != had.paper else []
+        if codes:
+            self._add(f"\x1b[{'' if codes == ['0'] else ';'.join(codes)}m")
+        self._look = look
+
+
+def _ranked(y: int, edges: set[int], first: Sequence[Region], last: Sequence[Region]) -> Iterator[tuple[int, int, int]]:
+    """Yield the parts of a row: the first column, the one behind the last, and the rank.
+
+    Args:
+        edges: columns where parts begin and end, besides those of regions.
+    """
+    above = [(each.x, each.right, FIRST) for each in first if y in each.line_range]
+    below = [(each.x, each.right, LAST) for each in last if y in each.line_range]
+    width = max(edges)
+    edges |= {max(0, min(width, edge)) for part in (*above, *below) for edge in part[:2]}
+    for left, right in pairwise(sorted(edges)):
+        over = (rank for begin, end, rank in (*above, *below) if begin <= left < end)
+        yield left, right, next(over, USUAL)
+
+
+def _differing(
+    wanted: Sequence[Cell], shown: Sequence[Cell | None], left: int, right: int
+) -> Iterator[tuple[int, int]]:
+    """Yield the beginnings and ends of runs of cells that differ, none of which begins behind a wide character."""
+    x = left
+    while x < right:
+        if wanted[x] == shown[x]:
+            x += 1
+            continue
+        begin, end = x, x + 1
+        while x < right and x - end < _JUMP:
+            if wanted[x] != shown[x]:
+                end = x + 1
+            x += 1
+        while begin > 0 and not wanted[begin].text:
+            begin -= 1
+        while end < len(wanted) and not wanted[end].text:
+            end += 1
+        yield begin, end
+
+
+def _blank(look: Look) -> Cell:
+    is_seen = not _SEEN_ON_BLANKS.isdisjoint(look.attributes.split(";"))
+    return Cell(" ", look if is_seen else Look("", "", look.paper))
+
+
+@lru_cache(maxsize=8192)
+def _cells(text: str, look: Look) -> tuple[Cell, ...]:
+    space = _blank(look)
+    if text.isascii():
+        return tuple(space if char == " " else Cell(char, look) for char in text)
+    cells: list[Cell] = []
+    for start, end, width in split_graphemes(text)[0]:
+        if width:
+            cells.append(space if text[start:end] == " " else Cell(text[start:end], look))
+            cells += [Cell("", look)] * (width - 1)
+    return tuple(cells)
+
+
+@lru_cache(maxsize=4096)
+def _look(style: Style | None, colours: ColorSystem) -> Look:
+    if style is None:
+        return Look("", _OWN_INK, _OWN_PAPER)
+    bits = style._attributes & style._set_attributes
+    attributes = ";".join(code for bit, code in enumerate(_ATTRIBUTES) if bits & (1 << bit))
+    ink, paper = (
+        own if colour is None else ";".join(colour.downgrade(colours).get_ansi_codes(foreground=own is _OWN_INK))
+        for colour, own in ((style.color, _OWN_INK), (style.bgcolor, _OWN_PAPER))
+    )
+    return Look(attributes, ink, paper)

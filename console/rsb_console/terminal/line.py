@@ -1,0 +1,230 @@
+"""The operator's line: how fast it carries what is written to the terminal, and how late the terminal is.
+
+The terminal's answers tell it: each stands behind all that was written before its question. A terminal that gives none
+leaves only the kernel, which takes no more once its own buffer is full, 4 to 20 kB later.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import termios
+import threading
+import time
+from collections import deque
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+FRAME: Final = 0.15
+"""s of the line that one frame may take. With what may be under way before it, a key's effect waits half as long as a
+person notices (0.5 s)."""
+_NEXT_AFTER: Final = 0.05
+"""s of the line that may be under way when the next frame is written: enough that it never waits for this program."""
+_AT_FIRST: Final = 11_520
+"""Bytes/s before anything is known: those of a serial console, 115,200 baud. An answer soon tells of a faster line."""
+_LEAST: Final = 120
+"""Bytes that a frame may have over any line: some words."""
+_TELLS: Final = 300
+"""Bytes from which on an answer tells the line's rate: fewer are lost in the jitter of a radio link."""
+_MUCH: Final = 2.0
+"""Times as fast as known, which an answer alone proves: jitter makes answers late, never early."""
+_AT_ONCE: Final = 0.01
+"""s. What takes no longer tells only that the line is no slower."""
+_SLACK: Final = 0.1
+"""s by which an answer may be later than expected."""
+_TRIED_EVERY: Final = 1.0
+"""s between two frames while an expected answer does not come: it may be lost, or the line hangs."""
+_ASKED_AFTER: Final = 1.0
+"""s after which a small frame is followed by a question, too."""
+_SECONDS: Final = 5
+"""s over which `Line.per_second` is measured, if something is written in each."""
+_EMPTIED_EVERY: Final = 20.0
+"""s after which a line that is in full use is let run empty, for as long as a round trip. A round figure."""
+_FASTER, _FASTER_AFTER, _AGAIN_AFTER = 1.1, 2.0, 30.0
+"""Times by which a line without answers is tried to be faster, s of full use without a wait that allow it, and the same
+once it was too slow: as its buffer hides that for long, each such trial may make it some seconds late."""
+
+
+_PSEUDO_TERMINALS: Final = range(136, 144)
+"""Linux's major device numbers of pseudo-terminals (devices.txt), which have a speed that nobody keeps to."""
+_OUTPUT_SPEED: Final = 5
+"""Place of the output's speed in `termios.tcgetattr`."""
+_SPEEDS: Final = {getattr(termios, f"B{baud}"): baud for baud in (1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200)}
+_BITS: Final = 10
+"""Bits of a byte on a serial line, with its start and its stop."""
+
+
+class _Asked(NamedTuple):
+    at: float
+    size: int  # bytes since the question before
+    due: float
+    alone: bool  # nothing else was under way
+
+
+class Line:
+    """What is under way to one terminal. Its methods may be called from any thread.
+
+    Args:
+        rate: bytes/s, if they are known from the start, or 0.
+
+    Attributes:
+        rate: bytes/s that it carries, as far as is known.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic, rate: float = 0.0) -> None:
+        self.rate = rate or _AT_FIRST
+        self._clock = clock
+        self._lock = threading.RLock()
+        self._trip: float | None = None
+        """s of an answer over an empty line, or None for a terminal that has given none, and when that was seen."""
+        self._trip_seen = 0.0
+        self._asked: deque[_Asked] = deque()
+        self._since_question = self._written = 0
+        self._answered_at = self._asked_at = self._wrote_at = float("-inf")
+        self._under_way, self._at = 0.0, clock()
+        """Bytes that the line has not carried yet as far as is known, and when that was."""
+        self._began = self._at
+        self._marks: deque[tuple[float, int]] = deque([(self._at, 0)], maxlen=_SECONDS)
+        """How much was written until when, a second apart."""
+        self._kernels = 0.0
+        self._full_since: float | None = None
+
+    # --- what happens
+
+    def wrote(self, size: int) -> None:
+        """Note bytes that were written."""
+        with self._lock:
+            if not self._carry():
+                self._full_since = None
+            self._under_way += size
+            self._written += size
+            if self._at - self._marks[-1][0] >= 1.0:
+                self._marks.append((self._at, self._written))
+            self._since_question += size
+            self._wrote_at = self._at
+
+    def asked(self, at: float) -> None:
+        """Note a question of a time (s), which stands behind all that was written."""
+        with self._lock:
+            trip = self._trip or 0.0
+            due = self._carry() / self.rate + at + trip + max(_SLACK, trip / 2)
+            alone = not self._asked and self._under_way <= self._since_question
+            self._asked.append(_Asked(at, self._since_question, due, alone))
+            self._asked_at, self._since_question = at, 0
+
+    def answered(self, asked_at: float) -> None:
+        """Take the answer to the question of a time (s)."""
+        with self._lock:
+            self._carry()
+            size, alone = 0, False
+            while self._asked and self._asked[0].at <= asked_at:
+                size, alone = size + self._asked[0].size, self._asked[0].alone
+                self._asked.popleft()
+            took = self._at - asked_at
+            if self._trip is None or took <= self._trip or (alone and self._is_to_empty):
+                self._trip, self._trip_seen = min(took, max(_AT_ONCE, took - size / self.rate)), self._at
+            self._learn(size, self._at - max(asked_at + self._trip, self._answered_at))
+            self._answered_at = self._at
+            # What was written before the question has arrived; of the rest, what a round trip carries does not wait.
+            self._under_way = max(0.0, self._not_answered - self._trip * self.rate)
+
+    def forget(self) -> None:
+        """Note that the terminal may be another: no answer is expected."""
+        with self._lock:
+            self._asked.clear()
+            self._trip = None
+
+    def waited(self, size: int, seconds: float) -> None:
+        """Note that the kernel let a write wait: its buffer is full, and only the line empties it."""
+        with self._lock:
+            self._carry()
+            self._full_since = None
+            if not self.answers:
+                # A part may have found room, so both are too much. A line that has stood still is no slow one yet.
+                found = min(size / seconds, self.per_second)
+                self.rate = min(self.rate, max(found, self.rate / _MUCH))
+                at_first = self._written - self.rate * (self._at - self._began)
+                self._under_way = self._kernels = max(self._kernels, self._under_way, at_first)
+
+    def _learn(self, size: int, seconds: float) -> None:
+        found = size / max(seconds, _AT_ONCE)
+        if seconds <= _AT_ONCE or found > _MUCH * self.rate:
+            self.rate = max(self.rate, found)
+        elif size >= min(_TELLS, self.most / 2):  # fewer are lost in the jitter of a radio link
+            self.rate = max(found, self.rate / 2) if found * _MUCH < self.rate else self.rate + (found - self.rate) / 4
+
+    def _carry(self) -> float:
+        """Have the line carry what it can until now, and return the bytes that are left."""
+        before, self._at = self._at, self._clock()
+        self._under_way = max(0.0, self._under_way - (self._at - before) * self.rate)
+        return self._under_way
+
+    # --- what is asked
+
+    @property
+    def answers(self) -> bool:
+        """Whether the terminal has answered."""
+        return self._trip is not None
+
+    @property
+    def _is_to_empty(self) -> bool:
+        """Whether the line has to be empty once, as only then an answer tells its round trip."""
+        return self._trip is not None and self._at - self._trip_seen > _EMPTIED_EVERY
+
+    @property
+    def _not_answered(self) -> int:
+        return self._since_question + sum(each.size for each in self._asked)
+
+    @property
+    def _overdue(self) -> float:
+        return max(0.0, self._at - self._asked[0].due) if self._asked and self.answers else 0.0
+
+    @property
+    def per_second(self) -> float:
+        """Bytes/s that were written lately."""
+        with self._lock:
+            at, written = self._marks[0]
+            return (self._written - written) / max(1.0, self._clock() - at)
+
+    @property
+    def most(self) -> float:
+        """Bytes of the next frame at most."""
+        with self._lock:
+            rate = self.rate
+            if self._overdue:
+                rate = min(rate, self._not_answered / (self._at - self._asked[0].at))
+            return max(_LEAST, rate * FRAME)
+
+    @property
+    def is_to_be_asked(self) -> bool:
+        """Whether an answer now would tell how the line is."""
+        return self._since_question >= min(_TELLS, self.most / 2) or self._clock() - self._asked_at > _ASKED_AFTER
+
+    @property
+    def late(self) -> float:
+        """Seconds until the terminal has all that was written, as far as overdue answers and the rate tell."""
+        with self._lock:
+            return max(self._carry() / self.rate, self._overdue)
+
+    @property
+    def is_free(self) -> bool:
+        """Whether the next frame may be written."""
+        with self._lock:
+            if self.late <= (0.0 if self._is_to_empty else _NEXT_AFTER) and not (self._is_to_empty and self._asked):
+                return True
+            if self._full_since is None:
+                self._full_since = self._at
+            elif not self.answers and self._at - self._full_since > (_AGAIN_AFTER if self._kernels else _FASTER_AFTER):
+                self._full_since, self.rate = self._at, self.rate * _FASTER
+            return self._overdue > 0.0 and self._at - self._wrote_at > _TRIED_EVERY
+
+
+def rate_of(terminal: int) -> float:
+    """Return the bytes/s of a serial line behind a file descriptor, or 0 for another terminal."""
+    with contextlib.suppress(OSError, termios.error):
+        if os.major(os.fstat(terminal).st_rdev) not in _PSEUDO_TERMINALS:
+            speed = termios.tcgetattr(terminal)[_OUTPUT_SPEED]
+            return _SPEEDS.get(speed, 0) / _BITS
+    return 0.0

@@ -1,0 +1,123 @@
+"""Gives the terminal the newest picture of the screen at the pace of its line, what a key may have done first.
+
+Textual writes each picture that it makes. On a slow line they queue up, and the operator sees what was, while keys
+already do what will be seen later. Here the next frame is made once the last one has left, of what the screen is then.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Final
+
+from textual.geometry import Region
+from textual.widgets import Input, TextArea
+from textual.widgets._toast import ToastRack
+
+from rsb_console.terminal.frames import LAST, Frames
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Iterator, Sequence
+    from typing import Any
+
+    from rich.color import ColorSystem
+    from textual._compositor import ChopsUpdate, LayoutUpdate
+    from textual.app import App
+    from textual.timer import Timer
+    from textual.widget import Widget
+
+    from rsb_console.terminal.driver import ConsoleDriver
+
+_LOOK_EVERY: Final = 0.02
+"""s between two looks whether the next frame may be written."""
+_HEADER: Final = 2
+"""Rows at the top, which tell whether something is armed and how late the line is."""
+
+
+class ScreenWriter:
+    """Writes the screen of one app to its terminal.
+
+    Args:
+        pictures: widgets whose content comes after all else.
+        written: called with where text was written.
+    """
+
+    def __init__(
+        self,
+        app: App[Any],
+        driver: ConsoleDriver,
+        colours: ColorSystem,
+        pictures: Collection[Widget],
+        written: Callable[[Sequence[tuple[int, int, int]]], None],
+    ) -> None:
+        self._app = app
+        self._driver = driver
+        self._pictures = pictures
+        self._written = written
+        self._frames = Frames(colours)
+        self._losses = driver.losses
+        self._next: Timer | None = None
+        self._lacking_since: float | None = None
+        self._cursor = (0, 0)
+
+    def use_colours(self, colours: ColorSystem) -> None:
+        """Write in other colours from now on."""
+        self._frames.colours = colours
+
+    def forget(self) -> None:
+        """Note that the terminal may show anything, so that all is written again."""
+        self._frames.forget()
+
+    def draw(self, update: ChopsUpdate | LayoutUpdate) -> None:
+        """Take what Textual has drawn, and write it as soon as the line allows."""
+        self._frames.resize(self._app.size)
+        self._frames.draw(update)
+        if self._next is None:
+            self.give()
+
+    def give(self) -> None:
+        """Write what the terminal lacks, if its line is free, or else soon."""
+        self._next = None
+        if self._losses != self._driver.losses:
+            self._losses = self._driver.losses
+            self._frames.forget()
+        if self._driver.is_free:
+            last = [each.content_region for each in self._pictures if each.is_attached]
+            frame = self._frames.next(self._driver.line.most, [*self._first()], last)
+            self._write(frame.text, frame.spans)
+            if frame.lacks is None or frame.lacks == LAST:
+                self._lacking_since = None
+            if frame.lacks is None:
+                return
+        if self._lacking_since is None:
+            self._lacking_since = time.monotonic()
+        self._next = self._app.set_timer(_LOOK_EVERY, self.give)
+
+    def _write(self, text: str, spans: Sequence[tuple[int, int, int]]) -> None:
+        if isinstance(self._app.focused, Input | TextArea):
+            # The cursor is hidden, but some terminals show there what an input method composes.
+            x, y = self._app.cursor_position
+            text += f"\x1b[{y + 1};{x + 1}H" if text or (x, y) != self._cursor else ""
+            self._cursor = x, y
+        if text:
+            self._driver.write_frame(text, whole=len(spans) > 1)
+            self._written(spans)
+
+    def _first(self) -> Iterator[Region]:
+        yield Region(0, 0, self._app.size.width, _HEADER)
+        for screen in self._app.screen_stack[1:]:
+            yield from (each.region for each in screen.children if not isinstance(each, ToastRack))
+
+    def has(self, region: Region) -> bool:
+        """Whether the terminal was given all of a region; if no answer will show that it has it, the line is free."""
+        return not self._frames.lacks(region) and (self._driver.line.answers or self._driver.is_free)
+
+    @property
+    def is_free(self) -> bool:
+        """Whether pictures in pixels may be written: nothing else waits."""
+        return self._next is None and self._driver.is_free
+
+    @property
+    def late(self) -> float:
+        """Seconds by which the terminal's picture is older than the screen, as far as is known, except for pictures."""
+        since = self._lacking_since
+        return max(self._driver.late, 0.0 if since is None else time.monotonic() - since)

@@ -1,0 +1,137 @@
+"""How fast the operator's line is, and how late its terminal: in simulated time, over a line of a known rate."""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+
+import pytest
+
+from rsb_console.terminal.line import FRAME, Line
+
+STEP = 0.01
+
+
+class Way:
+    """A line of a rate and a round trip, with a terminal that answers questions or does not.
+
+    Args:
+        rate: bytes/s.
+        trip: s.
+        buffer: bytes that the kernel takes before a write waits, or None for a network, whose buffers take all.
+    """
+
+    def __init__(self, rate: float, trip: float = 0.0, *, answers: bool = True, buffer: int | None = None) -> None:
+        self.now, self.rate, self.trip, self.answers, self.buffer = 100.0, rate, trip, answers, buffer
+        self.line = Line(lambda: self.now)
+        self.carries_until = self.now
+        self._answers: list[tuple[float, int, float]] = []
+        self._order = itertools.count()
+
+    @property
+    def under_way(self) -> float:
+        """Bytes."""
+        return max(0.0, self.carries_until - self.now) * self.rate
+
+    @property
+    def late(self) -> float:
+        """Seconds by which the terminal is late in truth."""
+        return max(0.0, self.carries_until - self.now)
+
+    def write(self, size: int) -> None:
+        self.line.wrote(size)
+        self.carries_until = max(self.now, self.carries_until) + size / self.rate
+        if self.buffer is not None and (waits := (self.under_way - self.buffer) / self.rate) > 0.02:
+            self.now += waits
+            self.line.waited(size, waits)
+        if self.line.is_to_be_asked:
+            self.line.asked(self.now)
+            if self.answers:
+                heapq.heappush(self._answers, (self.carries_until + self.trip, next(self._order), self.now))
+
+    def go_on(self, seconds: float) -> None:
+        until = self.now + seconds
+        while self.now < until:
+            self.now += STEP
+            while self._answers and self._answers[0][0] <= self.now:
+                self.line.answered(heapq.heappop(self._answers)[2])
+
+    def play(self, seconds: float, wanted: float) -> tuple[float, float]:
+        """Write what a screen with some bytes/s has; return the bytes/s that were, and by how many s it was late."""
+        began, owed, written, latest = self.now, 0.0, 0, 0.0
+        while self.now < began + seconds:
+            self.go_on(STEP)
+            owed = min(owed + wanted * STEP, 10_000.0)  # only the newest picture waits
+            if owed >= 1 and self.line.is_free:
+                size = int(min(owed, self.line.most))
+                self.write(size)
+                owed, written = owed - size, written + size
+            latest = max(latest, self.late)
+        return written / (self.now - began), latest
+
+
+@pytest.mark.parametrize("trip", [0.0, 0.06, 0.7])
+@pytest.mark.parametrize("rate", [960, 1_920, 11_520, 1_000_000])
+def test_rate_is_learned_from_answers(rate: int, trip: float) -> None:
+    way = Way(rate, trip)
+    way.play(20.0, 2.0 * rate)
+    carried, latest = way.play(20.0, 2.0 * rate)
+    assert carried > 0.6 * rate
+    assert latest < 2.5 * FRAME
+
+
+@pytest.mark.parametrize("rate", [960, 1_920])
+def test_rate_is_learned_where_nothing_answers(rate: int) -> None:
+    """Only when the kernel's buffer is full, which then empties first."""
+    way = Way(rate, answers=False, buffer=4096)
+    way.play(40.0, 2.0 * rate)
+    assert 0.5 * rate < way.line.rate < 1.5 * rate
+    carried, _ = way.play(20.0, 2.0 * rate)
+    assert carried > 0.6 * rate
+
+
+def test_fast_line_that_gives_no_answers_is_used() -> None:
+    way = Way(1_000_000, answers=False, buffer=4096)
+    way.play(60.0, 100_000)
+    carried, _ = way.play(10.0, 100_000)
+    assert carried > 50_000
+
+
+@pytest.mark.parametrize("trip", [0.0, 0.5])
+def test_line_that_hangs_is_late_and_gets_little(trip: float) -> None:
+    way = Way(100_000, trip)
+    way.play(10.0, 2_000)
+    assert way.line.late < 0.1
+    way.carries_until = way.now + 10.0
+    carried, _ = way.play(9.0, 50_000)
+    assert way.line.late > 5.0
+    assert carried < 10_000
+    way.play(5.0, 2_000)
+    assert way.line.late < 0.1
+
+
+def test_line_that_becomes_faster_is_used() -> None:
+    way = Way(1_920, 0.05)
+    way.play(20.0, 4_000)
+    way.rate = 100_000
+    way.play(5.0, 200_000)
+    carried, _ = way.play(10.0, 200_000)
+    assert carried > 60_000
+
+
+def test_answers_of_another_terminal_are_not_waited_for() -> None:
+    way = Way(10_000)
+    way.play(5.0, 5_000)
+    way.answers = False
+    way.write(2_000)
+    way.go_on(2.0)
+    assert way.line.late > 1.0
+    way.line.forget()
+    assert way.line.late == 0.0
+    assert not way.line.answers
+
+
+def test_bytes_a_second_are_those_of_some_seconds() -> None:
+    way = Way(10_000)
+    way.play(20.0, 1_000)
+    assert way.line.per_second == pytest.approx(1_000, rel=0.2)
