@@ -9,8 +9,8 @@ from rich.style import Style
 from textual.color import Color
 
 from rsb_bridge.model.snapshot import State
-from rsb_console.notation.ascii_signs import ASCII
-from rsb_console.notation.glyphs import STATE_SIGN, STATE_WORD, AsciiFilter, braille_plot, sparkline, to_ascii
+from rsb_console.notation.ascii_signs import ASCII, to_ascii
+from rsb_console.notation.glyphs import STATE_SIGN, STATE_WORD, AsciiFilter, braille_plot, sparkline
 
 
 def test_every_state_has_its_own_sign_and_word() -> None:
@@ -27,7 +27,7 @@ def test_states_stay_apart_in_ascii() -> None:
 def test_ascii_keeps_every_width(given_text: str) -> None:
     assert to_ascii(given_text).isascii()
     printable = "".join(c for c in given_text if c.isprintable())
-    assert cell_len(to_ascii(printable)) == cell_len(printable)
+    assert cell_len(to_ascii(printable, cell_len)) == cell_len(printable)
 
 
 def test_the_filter_keeps_style_and_control() -> None:

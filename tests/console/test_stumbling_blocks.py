@@ -14,7 +14,7 @@ from rsb_bridge.config.session_file import save
 from rsb_bridge.model.commands import AddTopic
 from rsb_bridge.model.snapshot import State
 from rsb_console.app import ConsoleApp
-from rsb_console.notation.glyphs import to_ascii
+from rsb_console.notation.ascii_signs import to_ascii
 from rsb_console.screens.new_session import FIELDS
 from rsb_console.widgets.controls import Choice
 from rsb_console.widgets.filter import RowFilter

@@ -24,7 +24,7 @@ from tests.support.waiting import eventually
 
 from rsb_bridge.config.session_file import load
 from rsb_bridge.model.session import Topic
-from rsb_console.command.shell import prefers_ascii
+from rsb_console.notation.ascii_signs import prefers_ascii
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
 CHATTER = f"/console_{os.getpid()}/terminal"
@@ -374,6 +374,15 @@ def test_a_light_background_changes_the_terminals_theme(tmp_path: Path) -> None:
         ({"LANG": "C", "LC_CTYPE": "C.UTF-8"}, True),
         ({"LANG": "C", "LC_CTYPE": "C.UTF-8", "LC_ALL": "C.UTF-8"}, False),
         ({"LANG": "C", "LC_CTYPE": "en_US.UTF-8"}, False),
+        ({"LANG": "en_US.UTF-8", "TERM": "vt220"}, True),
+        ({"LC_ALL": "C.UTF-8", "TERM": "vt220"}, False),
+        ({"LC_ALL": "C.UTF-8", "TERM": "linux"}, False),
+        ({"LC_ALL": "", "LANG": "C.UTF-8", "TERM": "linux"}, True),
+        ({"LANG": "en_US.UTF-8", "TERM": "linux-16color"}, True),
+        ({"LANG": "en_US.UTF-8", "TERM": "screen.linux"}, True),
+        ({"LANG": "en_US.UTF-8", "TERM": "screen.vte"}, False),
+        ({"LANG": "en_US.UTF-8", "TERM": "vte"}, False),
+        ({"LANG": "en_US.UTF-8", "TERM": "vte-256color"}, False),
         ({"LC_CTYPE": "C.UTF-8"}, False),
     ],
 )
@@ -381,14 +390,27 @@ def test_ascii_is_chosen_where_terminal_has_no_more(environ: dict[str, str], exp
     assert prefers_ascii(environ) is expected
 
 
-def test_commands_draw_ascii_where_terminal_has_no_more(pair: Pair) -> None:
-    environ = {"LANG": "C", "LC_ALL": "", "LC_CTYPE": "", "TERM": "vt100"}
-    with console(pair) as bridge:
-        bridge.wait_for(" quit")
-        with Terminal("rsb_console", "status", environ=environ, forked=True) as terminal:
-            terminal.exit_code()
-            assert terminal.output
-            assert terminal.output.isascii()
+def test_commands_draw_ascii_where_terminal_has_no_more(tmp_path: Path) -> None:
+    pair = Pair(tmp_path, Topic(CHATTER, "transmit", arm=True))
+    there = ["--control", str(tmp_path / "own.sock")]
+    commands = (
+        ["status", *there], ["look", *there, "--once", "--timeout", "1", CHATTER], ["check", "größe — 1.yaml"],
+    )  # fmt: skip
+    with FarSide(pair, tmp_path / "far"), console(pair, *there) as bridge:
+        bridge.wait_for("LINKED")
+        bridge.wait_for("DISARMED")
+        for environ in ({"LANG": "C", "TERM": "vt100"}, {"LANG": "en_US.UTF-8", "TERM": "linux"}):
+            settings = {"LC_ALL": "", "LC_CTYPE": "", **environ}
+            for command in commands:
+                with Terminal("rsb_console", *command, environ=settings, forked=True) as terminal:
+                    terminal.exit_code()
+                    assert terminal.output
+                    assert terminal.output.isascii()
+            with Terminal("rsb_console", "arm", *there, CHATTER, environ=settings, forked=True) as terminal:
+                terminal.wait_for("ARMED")
+                terminal.type("\x03")
+                terminal.exit_code()
+                assert terminal.output.isascii()
 
 
 def test_a_terminal_without_unicode_gets_ascii_only(pair: Pair) -> None:

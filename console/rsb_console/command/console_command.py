@@ -10,7 +10,8 @@ from rsb_bridge.config.session_file import load
 from rsb_bridge.control.control_sockets import identify
 from rsb_bridge.model.commands import ReleaseArmed, acting
 from rsb_console.app import ConsoleApp
-from rsb_console.command.shell import FAILURE, HUNG_UP, OK, prefers_ascii, print_error
+from rsb_console.command.shell import FAILURE, HUNG_UP, OK, print_error
+from rsb_console.notation.ascii_signs import prefers_ascii
 from rsb_console.terminal.driver import terminal_to_itself
 from rsb_console.terminal_app import ShutdownReason, TerminalApp, crash_path, output_path
 

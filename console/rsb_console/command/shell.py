@@ -8,10 +8,11 @@ import sys
 
 from rsb_bridge.model.text import one_line, several_lines
 from rsb_bridge.model.wording import Wording
+from rsb_console.notation.ascii_signs import prefers_ascii, to_ascii
 
 TYPE_CHECKING = False  # without typing, which takes a while
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable
     from typing import Any, TextIO
 
 OK, FAILURE, USAGE, NOT_RUNNING, ALREADY_RUNNING, HUNG_UP, INTERRUPTED, TERMINATED = 0, 1, 2, 3, 4, 129, 130, 143
@@ -35,7 +36,8 @@ class CleanErrors:
         self.raw = stream
 
     def write(self, text: str) -> int:
-        self.raw.write(several_lines(text))
+        shown = several_lines(text)
+        self.raw.write(to_ascii(shown) if shows_ascii(self.raw) else shown)
         return len(text)
 
     def writelines(self, lines: Iterable[str]) -> None:
@@ -57,10 +59,8 @@ def print_lines(text: str) -> None:
 
 
 def _print(text: str) -> None:
-    if shows_ascii():
-        from rsb_console.notation.ascii_signs import ASCII  # noqa: PLC0415 -- seldom needed
-
-        text = text.translate(ASCII)
+    if shows_ascii(sys.stdout):
+        text = to_ascii(text)
     sys.stdout.write(encoded(f"{text}\n").decode(sys.stdout.encoding))
 
 
@@ -69,21 +69,9 @@ def encoded(text: str) -> bytes:
     return text.encode(sys.stdout.encoding, "backslashreplace")
 
 
-def prefers_ascii(environ: Mapping[str, str]) -> bool:
-    """Whether to draw in ASCII: the locale is not UTF-8, or the terminal is the Linux console or a VT.
-
-    Args:
-        environ: the environment. Where it sets no locale or LANG=C, Python has added LC_CTYPE=C.UTF-8 (PEP 538).
-    """
-    added, language = environ.get("LC_CTYPE") == "C.UTF-8", environ.get("LANG")
-    character_set = language if added and language in ("C", "POSIX") else environ.get("LC_CTYPE") or language
-    locale = environ.get("LC_ALL") or character_set or "C.UTF-8"
-    return "utf" not in locale.lower() or environ.get("TERM", "").startswith(("linux", "vt"))
-
-
-def shows_ascii() -> bool:
-    """Whether standard output is a terminal for which signs are drawn in ASCII."""
-    return prefers_ascii(os.environ) and sys.stdout.isatty()
+def shows_ascii(stream: TextIO) -> bool:
+    """Whether a stream leads to a terminal for which text is written in ASCII."""
+    return prefers_ascii(os.environ) and stream.isatty()
 
 
 def allow_many_descriptors() -> None:

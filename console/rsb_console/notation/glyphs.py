@@ -12,7 +12,7 @@ from rich.segment import Segment
 from textual.filter import LineFilter
 
 from rsb_bridge.model.snapshot import State
-from rsb_console.notation.ascii_signs import ASCII, DOTS
+from rsb_console.notation.ascii_signs import DOTS, to_ascii
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -83,16 +83,6 @@ def braille_plot(values: Sequence[float], width: int, height: int, top: float) -
     return ["".join(chr(0x2800 + dots) for dots in line) for line in cells]
 
 
-def to_ascii(text: str) -> str:
-    """Replace every character that is not ASCII by ASCII of the same width."""
-    # Most texts are, and this runs for each piece that is drawn.
-    if text.isascii():
-        return text
-    # One cell has no room for +-, so it takes a blank's, too.
-    plain = text.replace(" ± ", " +-").translate(ASCII)
-    return plain if plain.isascii() else "".join(c if c.isascii() else "?" * cell_len(c) for c in plain)
-
-
 class ControlFilter(LineFilter):
     """Removes control characters, which a peer or a file could put into a name or a reason; widths stay."""
 
@@ -115,4 +105,4 @@ class AsciiFilter(LineFilter):
 
     def apply(self, segments: list[Segment], background: Color) -> list[Segment]:
         """Replace characters that are not ASCII by ASCII of the same width."""
-        return [Segment(to_ascii(text), style, control) for text, style, control in segments]
+        return [Segment(to_ascii(text, cell_len), style, control) for text, style, control in segments]

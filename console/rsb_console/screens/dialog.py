@@ -6,6 +6,7 @@ import asyncio
 import time
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
+from rich.cells import cell_len
 from textual import work
 from textual.binding import Binding
 from textual.containers import Horizontal, Vertical, VerticalScroll
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from textual import events
     from textual.app import App, ComposeResult
     from textual.geometry import Size, Spacing
+    from textual.screen import Screen
     from textual.widget import Widget
     from textual.widgets._button import ButtonVariant
 
@@ -35,6 +37,8 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 _AROUND = 8
 """Lines of the dialog that are not its message: frame, buttons, keys, and the empty ones between."""
+_SMALL_WIDTH, _SMALL_HEIGHT = 50, 12
+"""Of a screen with room for a question's frame: four buttons in it take 50 cells, and a message gets four lines."""
 _SCROLL = {
     "up,k": "up",
     "down,j": "down",
@@ -47,9 +51,17 @@ _ASKED_LINES, _ASKED_CHARACTERS = 200, 4 << 10
 """Limits of the part of an operator's YAML that a question shows, as much as a person can read."""
 RUNNING = "◌"
 _NO_KEYS_YET = "…"
+_SCROLL_KEYS, _GAP = "↑ ↓ scroll", "   "
 _KEYS_AGAIN = "press a key, and then answer"
 _LOOK_EVERY = 0.1
 """s between two looks whether the keys of a question count: so much later, at most, it says that they do."""
+
+
+def suit_size(question: Screen[Any], message: Widget, size: Size) -> None:
+    """Give a question's message the remaining room; on a small screen, drop the frame and the empty lines."""
+    is_small = size.width < _SMALL_WIDTH or size.height < _SMALL_HEIGHT
+    question.set_class(is_small, "-small")
+    message.styles.max_height = None if is_small else max(1, size.height - _AROUND)
 
 
 def beginning(fields: str) -> str:
@@ -91,7 +103,8 @@ class SideBox(ModalScreen[T]):
 class ConfirmScreen(ModalScreen[bool], GuardedScreen):
     """Yes or No, with the focus on No; escape is No.
 
-    A message for which the screen has no room scrolls; the buttons stay in sight. If Yes has an effect, keys that were
+    A message for which the screen has no room scrolls; the buttons stay in sight. On a small screen, the title stands
+    above the message instead of on the frame, and scrolls with it. If Yes has an effect, keys that were
     pressed before the question was to be read are not for it.
 
     Args:
@@ -111,7 +124,8 @@ class ConfirmScreen(ModalScreen[bool], GuardedScreen):
     AUTO_FOCUS = "#no"
     SHAPE = ""
     VARIANT: ClassVar[ButtonVariant] = "error"
-    KEYS, SCROLL_KEYS = "y yes   n no   ← → ⏎ choose", "   ↑ ↓ scroll"
+    KEYS = "y yes   n no"
+    MORE_KEYS: tuple[str, ...] = ("← → ⏎ choose",)
 
     def __init__(self, title: str, message: str, yes: str, effect: Effect) -> None:
         super().__init__()
@@ -127,19 +141,21 @@ class ConfirmScreen(ModalScreen[bool], GuardedScreen):
         with Vertical(classes=f"dialog {self.SHAPE}") as dialog:
             dialog.border_title = self._title
             with self._scrolled:
+                yield Static(self._title, classes="title", markup=False)
                 yield from self.compose_message()
             with Horizontal(classes="buttons"):
                 yield from self.compose_buttons()
             yield self._keys
 
     def on_resize(self, event: events.Resize) -> None:
-        """Give the message the remaining room."""
-        self._scrolled.styles.max_height = max(1, event.size.height - _AROUND)
+        suit_size(self, self._scrolled, event.size)
         self.call_after_refresh(self._show_keys)
 
     def _show_keys(self) -> None:
-        keys = self.KEYS + self.SCROLL_KEYS * (self._scrolled.max_scroll_y > 0)
-        self._keys.update(self._instead_of_keys or keys)
+        keys = [self.KEYS, *self.MORE_KEYS, *([_SCROLL_KEYS] if self._scrolled.max_scroll_y > 0 else [])]
+        while len(keys) > 1 and cell_len(_GAP.join(keys)) > self._keys.size.width:
+            keys.pop(1)  # a second line would take one from the message
+        self._keys.update(self._instead_of_keys or _GAP.join(keys))
 
     def action_scroll(self, to: str) -> None:
         """Show other lines of the message, in a direction of Textual's ``scroll_...`` methods."""

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 from textual.binding import Binding
-from textual.containers import Horizontal, Vertical
+from textual.containers import Horizontal, Vertical, VerticalScroll
 from textual.screen import ModalScreen
 from textual.widgets import Button, Static
 
@@ -15,7 +15,7 @@ from rsb_bridge.config.keys import KeyFileError, copy_key
 from rsb_bridge.config.session_file import SessionError, UneditableError, backup_path, edited_text, save
 from rsb_bridge.model.commands import Effect
 from rsb_bridge.model.wording import Wording
-from rsb_console.screens.dialog import ConfirmScreen
+from rsb_console.screens.dialog import ConfirmScreen, suit_size
 from rsb_console.session.saving import difference, file_of, moved, path_problem, rescued, text_of, unsaved
 from rsb_console.widgets.form import Field, FormScreen, Spec
 from rsb_console.widgets.lines import FixedLines, Line, clip
@@ -23,6 +23,7 @@ from rsb_console.widgets.lines import FixedLines, Line, clip
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from textual import events
     from textual.app import ComposeResult
 
     from rsb_bridge.config.session_file import SessionFile
@@ -175,31 +176,38 @@ class ChangedScreen(ModalScreen[ChangedAnswer]):
 
     BINDINGS: ClassVar = [
         Binding("escape", "dismiss('')", show=False),
-        Binding("left", "app.focus_previous", show=False),
-        Binding("right", "app.focus_next", show=False),
+        Binding("left,up", "app.focus_previous", show=False),
+        Binding("right,down", "app.focus_next", show=False),
     ]
     AUTO_FOCUS = "#cancel"
 
     def __init__(self, path: Path) -> None:
         super().__init__()
         self._path = path
+        self._scrolled = VerticalScroll(classes="message", can_focus=False)
 
     def compose(self) -> ComposeResult:
         with Vertical(classes="dialog -wide") as dialog:
-            dialog.border_title = SaveText.CHANGED_ON_DISK(file=self._path.name)
-            yield Static(
-                "The file was changed outside this console since it was opened.\n"
-                "Reload: the bridge takes the file; unsaved changes here are lost.\n"
-                "Overwrite: the file takes the bridge's present session.\n"
-                "Save as: use another name; the file stays as it is.\n"
-                "Reload and overwrite show the difference first.",
-                markup=False,
-            )
+            title = SaveText.CHANGED_ON_DISK(file=self._path.name)
+            dialog.border_title = title
+            yield Static(title, classes="title", markup=False)
+            with self._scrolled:
+                yield Static(
+                    "The file was changed outside this console since it was opened.\n"
+                    "Reload: the bridge takes the file; unsaved changes here are lost.\n"
+                    "Overwrite: the file takes the bridge's present session.\n"
+                    "Save as: use another name; the file stays as it is.\n"
+                    "Reload and overwrite show the difference first.",
+                    markup=False,
+                )
             with Horizontal(classes="buttons"):
                 yield Button("Reload…", id="reload", compact=True)
                 yield Button("Overwrite…", id="overwrite", variant="error", compact=True)
                 yield Button("Save as…", id="save_as", compact=True)
                 yield Button("Cancel", id="cancel", compact=True)
+
+    def on_resize(self, event: events.Resize) -> None:
+        suit_size(self, self._scrolled, event.size)
 
     def on_button_pressed(self, event: Button.Pressed) -> None:
         answers: tuple[ChangedAnswer, ...] = ("reload", "overwrite", "save_as")

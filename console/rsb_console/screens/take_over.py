@@ -66,7 +66,7 @@ class AskHolderScreen(ConfirmScreen):
         self.console, self._key, self._holder = console, route.key, holder
         self.choice = "ask"
         self._may_take = may_take
-        self.KEYS = HandOverText.KEYS(take=HandOverText.TAKE_KEY() if may_take else "")
+        self.KEYS, self.MORE_KEYS = HandOverText.KEYS(take=HandOverText.TAKE_KEY() if may_take else ""), ()
 
     def on_mount(self) -> None:
         self.set_interval(_LOOK_EVERY, self.show)

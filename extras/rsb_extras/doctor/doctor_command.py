@@ -14,7 +14,8 @@ from rsb_bridge.model.finding import Check, Finding, Grade, examine, worst
 from rsb_bridge.model.text import plural
 from rsb_console.command.check import print_mistakes
 from rsb_console.command.formatting import json_line
-from rsb_console.command.shell import FAILURE, OK, prefers_ascii, print_line
+from rsb_console.command.shell import FAILURE, OK, print_line
+from rsb_console.notation.ascii_signs import prefers_ascii
 from rsb_extras.doctor import machine, ros_setup, session_needs
 
 if TYPE_CHECKING:
@@ -71,7 +72,7 @@ def _terminal(environ: Mapping[str, str]) -> Iterator[Finding]:
         return
     signs = f"{'ASCII' if plain else 'Unicode'} signs{program and f', inside {program}'}"
     text, grade = f"{term}, {size.columns} × {size.lines}, {colours}, {signs}", Grade.NOTE if plain else Grade.OK
-    remedy = "export LANG=C.UTF-8, if the terminal shows Unicode" if plain else ""
+    remedy = "export LC_ALL=C.UTF-8, if the terminal shows Unicode" if plain else ""
     yield Finding("terminal", grade, "terminal", text, remedy, facts)
     if size.columns < _SMALLEST_TERMINAL[0] or size.lines < _SMALLEST_TERMINAL[1]:
         text = f"the console needs {_SMALLEST_TERMINAL[0]} × {_SMALLEST_TERMINAL[1]} at least"

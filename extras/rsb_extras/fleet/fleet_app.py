@@ -11,7 +11,7 @@ from textual import work
 from rsb_bridge.model.commands import Effect
 from rsb_console.app import SSH_RATE, ConsoleApp
 from rsb_console.command import console_command
-from rsb_console.command.shell import prefers_ascii
+from rsb_console.notation.ascii_signs import prefers_ascii
 from rsb_console.screens.main import MainScreen
 from rsb_console.terminal.input_queue import DIALOG
 from rsb_console.terminal_app import ShutdownReason, TerminalApp

@@ -24,7 +24,7 @@ from rsb_console.command.formatting import json_line
 from rsb_console.command.shell import FAILURE, OK, print_line, shows_ascii
 from rsb_console.command.target import UsageError, attached, done, failed, other_side
 from rsb_console.notation import formats
-from rsb_console.notation.glyphs import to_ascii
+from rsb_console.notation.ascii_signs import to_ascii
 from rsb_console.terminal.terminal_facts import ask, facts_before_answers
 from rsb_extras.pictures.blocks import image_rows, wished_pixels
 from rsb_extras.pictures.graphics import USUAL_CELL, Painter, bands_of, frame_of, protocol_of, why_no_graphics
@@ -78,7 +78,7 @@ def look(arguments: Namespace) -> int:
     file = arguments.output
     if file is not None and file.suffix not in FORMATS:
         raise UsageError(LookText.UNKNOWN_FORMAT(file=file, known=", ".join(FORMATS)))
-    arguments.ascii |= shows_ascii()
+    arguments.ascii |= shows_ascii(sys.stdout) or not (sys.stdout.encoding or "").lower().startswith("utf")
     once = arguments.once or file is not None or not sys.stdout.isatty()
     facts = facts_before_answers(os.environ, 1)
     if sys.stdin.isatty() and sys.stdout.isatty() and file is None and not arguments.json and not arguments.ascii:
@@ -236,7 +236,8 @@ def many(engine: RemoteEngine, viewer: str, arguments: Namespace) -> int:
                 problem = problem or str(error)
             shown = None if viewed is None else _named(engine, _aged(viewed, came))
             status = problem or (LookText.NO_MESSAGE() if shown is None else _status(shown))
-            last = f"{single_cells(escape_text(status))[: wish.width]}{_CLEAR_LINE}"
+            last = single_cells(escape_text(status))[: wish.width]
+            last = f"{to_ascii(last) if arguments.ascii else last}{_CLEAR_LINE}"
             if image is not None:
                 sys.stdout.write(f"{_HOME}{painted}\x1b[{wish.height + 1};1H{last}")
             else:
@@ -309,7 +310,6 @@ def _cut(row: Row, width: int) -> Row:
 def _encoded(row: Row, facts: TerminalFacts, *, ascii_only: bool) -> str:
     """Return a row with escape sequences for a terminal's colours."""
     system = COLOR_SYSTEMS[facts.colour_system] if facts.colours else None
-    ascii_only |= not (sys.stdout.encoding or "").lower().startswith("utf")
     parts = []
     for text, style, background in row:
         shown = to_ascii(text) if ascii_only else text

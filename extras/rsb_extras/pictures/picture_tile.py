@@ -82,6 +82,7 @@ class ViewText(Wording):
     OLD = "{age} old"
     TO_TERMINAL = "{rate} to this terminal"
     SIDE = "drawn by {side}"
+    ASCII = "ASCII: LC_ALL=C.UTF-8 shows more, if the terminal has Unicode"
     FEW_COLOURS = "{colours} colours: COLORTERM=truecolor or terminal: {{colours: true}} in console.yaml shows more"
     WRITTEN = "written: {files}"
     NOT_WRITTEN = "the picture cannot be written: {error}"
@@ -186,7 +187,7 @@ class PictureTile(Tile):
         if self._shows_pixels and facts.cell is not None:
             across, down = (round(each / 2**self._strain) for each in facts.cell)
         else:
-            across, down = wished_pixels(self._colours, sextants=facts.draws_sextants)
+            across, down = wished_pixels(self._image_colours, sextants=facts.draws_sextants)
         self._take(sized(self._wish, size.width, size.height, across, down, facts.shape))
         if isinstance(self.content, Pixels):
             self.cover_changed()  # the picture in sight, in the new size
@@ -198,7 +199,13 @@ class PictureTile(Tile):
         facts = self.terminal.facts
         if self.app.no_color or self.app.console.color_system is None:
             return 0
-        return min(facts.colours, 16) if self.app.ansi_color else facts.colours
+        # With more, a map has half blocks of two tints, in which ASCII would show walls.
+        return min(facts.colours, 16) if self.app.ansi_color or self.terminal.ascii_only else facts.colours
+
+    @property
+    def _image_colours(self) -> int:
+        """The colours for an image: in ASCII, which has no shapes for two of them, characters show its brightness."""
+        return 0 if self.terminal.ascii_only else self._colours
 
     @property
     def _shows_pixels(self) -> bool:
@@ -299,7 +306,7 @@ class PictureTile(Tile):
             self._draw()
 
     def _in_blocks(self, content: Pixels, wish: Wish) -> list[Row]:
-        return image_rows(content, wish, colours=self._colours, sextants=self.terminal.facts.draws_sextants)
+        return image_rows(content, wish, colours=self._image_colours, sextants=self.terminal.facts.draws_sextants)
 
     @work(exclusive=True, group="image")
     async def cover_changed(self) -> None:
@@ -378,6 +385,8 @@ class PictureTile(Tile):
     def _how_shown(self) -> str:
         """What the terminal was found to show, or how to get more."""
         facts = self.terminal.facts
+        if self.terminal.ascii_only:
+            return ViewText.ASCII()
         few = facts.colours <= 16 and not self.app.no_color
         return ViewText.FEW_COLOURS(colours=facts.colours or "no") if few else facts.line()
 

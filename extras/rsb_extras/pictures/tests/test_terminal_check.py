@@ -27,6 +27,12 @@ def test_finding_says_what_is_shown_and_how_to_get_more(facts: TerminalFacts, te
     assert (found.remedy, found.grade) == (remedy, Grade.NOTE if remedy else Grade.OK)
 
 
+def test_ascii_shows_no_pixels() -> None:
+    found = finding(KITTY, ascii_only=True)
+    assert says(found.text, TerminalText.ASCII)
+    assert (found.remedy, found.grade) == (TerminalText.MORE_CHARACTERS(), Grade.NOTE)
+
+
 def test_missing_library_is_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
     surroundings.hide_modules(monkeypatch, "PIL")
     assert "rsb-console[look]" in finding(KITTY).remedy
