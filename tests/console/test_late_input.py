@@ -445,7 +445,7 @@ async def test_pictures_of_question_say_when_its_keys_count(app: ConsoleApp, pil
 def test_operator_is_told_that_terminal_may_be_another() -> None:
     told: list[str] = []
     app, clock = scripted_app(), Time()
-    app.notify = lambda text, **_: told.append(text)  # type: ignore[method-assign, assignment]
+    app.notify = lambda text, **_: told.append(text)  # type: ignore[method-assign]
     gate = InputGate(app, clock)
     gate.pulse = pulse = Pulse({}, clock)
     pulse.doubt()
