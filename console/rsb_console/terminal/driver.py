@@ -268,6 +268,11 @@ class ConsoleDriver(LinuxDriver):
             self.losses += 1
             self._app.call_later(self._app.refresh)
 
+    def _redraw(self) -> None:
+        """Draw everything, as on a terminal that shows nothing of it."""
+        self.losses += 1
+        self._app.refresh()
+
     # --- the terminal's pulse
 
     def start_application_mode(self) -> None:
@@ -329,6 +334,7 @@ class ConsoleDriver(LinuxDriver):
                 return
             case events.Key(key=key) if key == _REDRAW:
                 self.pulse.doubt()
+                self._app.call_later(self._redraw)
             case events.Paste():
                 message.text = without_answers(message.text)
         self.pulse.stamp(message)
