@@ -136,10 +136,14 @@ class Bed:
                 subprocess.run([*tmux, "set-option", "-g", "mouse", "on"], check=True)
                 command = [*tmux, "attach"]
             if place == "dtach-mosh":
-                dtach = ["dtach", "-A", str(folder / "dtach"), *command]
-                with contextlib.closing(Terminal(*dtach)) as self.terminal:
+                socket = folder / "dtach"
+                master = subprocess.Popen(["dtach", "-N", str(socket), *command], stdin=subprocess.DEVNULL)
+                resources.enter_context(master)
+                resources.callback(master.terminate)
+                eventually(socket.exists, what="dtach")
+                command = ["dtach", "-a", str(socket)]
+                with contextlib.closing(Terminal(*command)) as self.terminal:
                     self._await_console()
-                command = ["dtach", "-a", str(folder / "dtach")]
             self._mosh: Mosh | None = None
             environ: Mapping[str, str] = {}
             if place in ("mosh", "dtach-mosh"):
