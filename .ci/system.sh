@@ -1,8 +1,8 @@
 #!/bin/sh
 # The tests drive a real terminal, real network namespaces and a machine with Bluetooth, systemd checks the units, and
 # dpkg installs the Debian package in a bare system. Without root, tests that lack a tool are skipped.
-packages="tmux qemu-system-x86 iproute2 nftables systemd debootstrap"
-for tool in tmux qemu-system-x86_64 tc nft systemd-analyze debootstrap; do
+packages="tmux mosh dtach qemu-system-x86 iproute2 nftables systemd debootstrap"
+for tool in tmux mosh-server dtach qemu-system-x86_64 tc nft systemd-analyze debootstrap; do
   command -v "$tool" > /dev/null || missing=1
 done
 [ -n "$missing" ] || exit 0

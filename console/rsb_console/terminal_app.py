@@ -221,12 +221,6 @@ class TerminalApp(App[ReturnType]):
         """Number of times that the terminal was cleared."""
         return self._driver.losses if isinstance(self._driver, ConsoleDriver) else 0
 
-    def action_draw_again(self) -> None:
-        """Write the whole screen, as something else has written on the terminal."""
-        if self.writer is not None:
-            self.writer.forget()
-            self.writer.give()
-
     def write_to_terminal(self, sequence: str) -> None:
         """Write what Textual does not know of, such as an image. It has to leave cursor and colours as they were."""
         if sequence and isinstance(self._driver, ConsoleDriver):

@@ -186,8 +186,9 @@ def test_a_lost_answer_makes_no_other_one_older() -> None:
     clock.now += 0.1
     pulse.answered(*places[2])
     assert pulse.heard == 100.0
-    asked = clock.now
-    pulse.answered(*place_in(pulse.question()))
+    asked, place = clock.now, place_in(pulse.question())
+    clock.now += 0.1
+    pulse.answered(*place)
     assert pulse.heard == asked
     pulse.answered(*places[0])
     pulse.answered(1, 7)
@@ -213,13 +214,108 @@ def test_a_terminal_that_hangs_gets_few_questions() -> None:
 def test_a_multiplexer_is_known_by_its_kind(kind: str, relayed: bool) -> None:
     pulse = Pulse({})
     pulse.answered(*place_in(pulse.question()))
-    pulse.is_kind(kind)
+    pulse.take_kind(kind)
     assert pulse.relayed is relayed
 
 
 @pytest.mark.parametrize("name", ["TMUX", "STY", "ZELLIJ"])
 def test_a_multiplexer_is_known_by_its_variable(name: str) -> None:
-    assert Pulse({name: "1"}).relayed
+    pulse = Pulse({name: "1"})
+    assert pulse.relayed
+    pulse.answered(*place_in(pulse.question()))
+    pulse.take_kind(XTERM)
+    assert pulse.relayed
+
+
+# -- another terminal, as where dtach is attached anew
+
+XTERM, MOSH = "41;390;0", "1;10;0"
+
+
+def answering(kind: str = XTERM, latency: float = 0.0) -> Line:
+    """Return a line whose terminal has answered, with its kind if it tells one."""
+    line = Line(Time(), latency=latency)
+    line.pulse.doubt()
+    if kind:
+        line.pulse.take_kind(kind)
+    line.go_on(3.0)
+    assert line.pulse.asks_kind is bool(kind)
+    return line
+
+
+def test_newest_kind_counts() -> None:
+    line = answering()
+    for kind, relayed in ((MOSH, True), (XTERM, False), (MOSH, True)):
+        line.pulse.take_kind(kind)
+        assert line.pulse.relayed is relayed
+
+
+@pytest.mark.parametrize("latency", [0.0, 0.3])
+def test_no_key_counts_until_another_terminal_answers(latency: float) -> None:
+    line = answering(latency=latency)
+    line.ask()
+    line.clock.now += 0.001
+    line.pulse.doubt()
+    assert line.pulse.is_doubted
+    line.press()
+    line.go_on(latency / 2 + 0.02)  # to the question before the doubt, an answer comes, which proves nothing
+    assert line.fresh() == [False]
+    line.go_on(ASKED_EVERY + latency)
+    assert not line.pulse.is_doubted
+    line.press()
+    line.go_on(latency / 2 + 0.02)
+    assert line.fresh() == [False, True]
+
+
+def test_doubted_terminal_is_asked_though_questions_wait() -> None:
+    line = answering()
+    line.hangs = True
+    line.go_on(14.0)
+    assert not line.pulse.question()
+    line.pulse.doubt()
+    assert line.pulse.question()
+    for _ in range(100):
+        line.pulse.doubt()
+        line.pulse.question()
+    assert not line.pulse.question()  # a late answer could be taken for one to a newer question at its place
+
+
+def test_terminal_without_kind_is_asked_again_after_gap() -> None:
+    line = answering("")
+    line.hangs = True
+    line.go_on(FRESH_FOR + 2 * ASKED_EVERY)
+    assert line.pulse.asks_kind
+
+
+def test_sooner_answer_may_be_a_multiplexers() -> None:
+    line = answering("", latency=0.2)
+    line.latency = 0.02
+    line.go_on(ASKED_EVERY + 0.05)
+    assert line.pulse.is_doubted
+    assert line.pulse.asks_kind
+    line.go_on(ASKED_EVERY + 0.05)
+    assert not line.pulse.is_doubted
+
+
+def test_several_terminals_prove_nothing() -> None:
+    line = answering()
+    place = place_in(line.pulse.question())
+    line.pulse.answered(*place)
+    assert not line.pulse.relayed
+    line.pulse.answered(*place)
+    assert line.pulse.relayed
+    line.go_on(10.0)
+    assert not line.pulse.relayed
+
+
+def test_mute_terminal_is_not_doubted() -> None:
+    clock = Time()
+    pulse = Pulse({}, clock)
+    clock.now += ANSWERS_WITHIN + 0.1
+    pulse.doubt()
+    assert pulse.relayed
+    assert not pulse.is_doubted
+    assert pulse.heard_now == float("inf")
 
 
 def test_terminal_that_never_answers_is_as_multiplexer() -> None:
@@ -237,7 +333,7 @@ def test_terminal_that_never_answers_is_as_multiplexer() -> None:
 
 
 def test_answers_in_a_paste_are_taken_out() -> None:
-    assert without_answers("a: 1\x1b[3;4R\nb: 2") == "a: 1\nb: 2"
+    assert without_answers("a: 1\x1b[>41;390;0c\x1b[3;4R\nb: 2") == "a: 1\nb: 2"
 
 
 @on_main()
@@ -267,6 +363,18 @@ def test_keys_that_come_at_once_have_one_time() -> None:
         time.sleep(0.03)  # the thread that reads them stands still
     assert len(times) == 3
     assert len(set(times)) == 1
+
+
+@on_main()
+async def test_terminal_attached_by_dtach_is_doubted(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    """It types Ctrl-L. What comes after it is another terminal's, and may be old."""
+    driver = ConsoleDriver(app)
+    driver.pulse.answered(*place_in(driver.pulse.question()))
+    before, redraw, after = (events.Key(name, None) for name in ("i", "ctrl+l", "i"))
+    for each in (before, redraw, after):
+        driver.process_message(each)
+    assert heard_before(before) > float("-inf")
+    assert heard_before(after) == float("-inf")
 
 
 # -- screens
@@ -332,6 +440,19 @@ async def test_pictures_of_question_say_when_its_keys_count(app: ConsoleApp, pil
     await shown(pilot, "y yes")
     await pilot.press("y")
     await until(pilot, lambda: answers == [True], "the answer")
+
+
+def test_operator_is_told_that_terminal_may_be_another() -> None:
+    told: list[str] = []
+    app, clock = scripted_app(), Time()
+    app.notify = lambda text, **_: told.append(text)  # type: ignore[method-assign]
+    gate = InputGate(app, clock)
+    gate.pulse = pulse = Pulse({}, clock)
+    pulse.doubt()
+    pressed = events.Key("y", None)
+    pulse.stamp(pressed)
+    assert gate.refuses(pressed, ConfirmScreen("Arm?", "", "Arm", Effect.MOVES))
+    assert told == [LateInput.MAY_BE_ANOTHER()]
 
 
 def test_harmless_question_can_be_answered_over_slow_line() -> None:

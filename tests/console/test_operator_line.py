@@ -119,18 +119,6 @@ def test_line_that_becomes_faster_is_used() -> None:
     assert carried > 60_000
 
 
-def test_answers_of_another_terminal_are_not_waited_for() -> None:
-    way = Way(10_000)
-    way.play(5.0, 5_000)
-    way.answers = False
-    way.write(2_000)
-    way.go_on(2.0)
-    assert way.line.late > 1.0
-    way.line.forget()
-    assert way.line.late == 0.0
-    assert not way.line.answers
-
-
 def test_bytes_a_second_are_those_of_some_seconds() -> None:
     way = Way(10_000)
     way.play(20.0, 1_000)

@@ -4,6 +4,7 @@ import contextlib
 import json
 import os
 import pty
+import re
 import shutil
 import signal
 import stat
@@ -203,6 +204,33 @@ def test_stopped_and_continued_console_draws_again(pair: Pair, tmp_path: Path) -
             terminal.read(0.5)
         assert terminal.exit_code() == 0
         assert termios.tcgetattr(terminal.fd) == new_modes()
+
+
+def test_who_terminal_is_is_asked_again(pair: Pair) -> None:
+    """It tells no kind, so it is asked for it only where it may be another terminal."""
+    question = re.compile(rb"(\x1b\[>c)?\x1b7\x1b\[(\d+);(\d+)H\x1b\[6n")
+    with console(pair) as terminal:
+
+        def answer_until(asks_kind: bool) -> None:
+            deadline, done = time.monotonic() + 120, len(terminal.output)
+            while True:
+                assert time.monotonic() < deadline, terminal.output[-400:]
+                for each in question.finditer(terminal.output, done):
+                    done = each.end()
+                    terminal.type(b"\x1b[%s;%sR" % each.group(2, 3))
+                    if bool(each[1]) is asks_kind:
+                        return
+                terminal.read(0.05)
+
+        terminal.wait_for(CHATTER)
+        terminal.type("q")
+        terminal.wait_for("Quit")  # a question that is guarded, so the terminal is asked
+        answer_until(asks_kind=False)
+        terminal.resize(100, 30)
+        answer_until(asks_kind=True)
+        answer_until(asks_kind=False)
+        terminal.kill(signal.SIGCONT)
+        answer_until(asks_kind=True)
 
 
 def test_dropped_line_ends_it_and_peer_is_told(pair: Pair, tmp_path: Path) -> None:

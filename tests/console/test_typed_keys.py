@@ -15,7 +15,7 @@ import pytest
 from tests.console.test_late_input import Time
 from tests.support import surroundings
 
-from rsb_console.terminal.pulse import ANSWERS_WITHIN, FRESH_FOR, TypedKeys
+from rsb_console.terminal.pulse import ANSWERS_WITHIN, FRESH_FOR, WHO_ARE_YOU, TypedKeys
 
 _LOCAL_MODES = 3
 
@@ -27,9 +27,11 @@ class Terminal:
 
     Attributes:
         here: the program's end.
+        asks_kind: whether the newest question asks for its kind, too.
     """
 
     def __init__(self) -> None:
+        self.asks_kind = False
         self._there, self.here = os.openpty()
 
     def questions(self) -> list[bytes]:
@@ -40,6 +42,7 @@ class Terminal:
             assert select.select([self._there], [], [], 30)[0], f"no question but {data!r}"
             data += os.read(self._there, 4096)
             found = re.findall(rb"\x1b\[(\d+;\d+)H\x1b\[6n\x1b8", data)
+        self.asks_kind = WHO_ARE_YOU.encode() in data
         return found
 
     @property
@@ -119,6 +122,25 @@ def test_an_answer_may_come_in_two_parts(terminal: Terminal) -> None:
         assert not keys.wait(1)
         terminal.send(f"{column}R\n")
         assert keys.wait(1)
+
+
+def test_terminal_tells_its_kind_after_gap(terminal: Terminal) -> None:
+    """Then with each answer, which is no line."""
+    clock = Time()
+    with TypedKeys(terminal.here, {}, clock) as keys:
+        keys.wait(0)
+        terminal.answer(*terminal.questions())
+        keys.wait(1)
+        clock.now += 2 * FRESH_FOR  # no answer to the question that is open
+        for typed, counts in (("", False), ("\n", True)):
+            keys.wait(0)
+            terminal.send("\x1b[>41;390;0c")
+            terminal.answer(*terminal.questions())
+            terminal.send(typed)
+            assert keys.wait(1) is counts
+        keys.wait(0)
+        terminal.questions()
+        assert terminal.asks_kind
 
 
 def test_a_line_after_an_arrow_key_counts_once(terminal: Terminal) -> None:

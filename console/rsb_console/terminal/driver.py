@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import select
+import signal
 import sys
 import threading
 import time
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
     from pathlib import Path
     from queue import Queue
+    from types import FrameType
 
     from textual.app import App
     from textual.message import Message
@@ -41,6 +43,8 @@ _ESCAPE = "\x1b"
 _CONTINUES_ESCAPE = "[Obf\x7f"  # begins a sequence, or is a word's key of line editing
 _KEEP_TITLE, _GIVE_TITLE_BACK = "\x1b[22;0t", "\x1b[23;0t"
 _KIND, _FACT = "<terminal-kind>", "<terminal-fact>"
+_REDRAW = "ctrl+l"
+"""What dtach types where a terminal is attached to it."""
 _BEGINS_ANSWER = "][P_"  # after an Escape
 _ANSWER_WITHIN = 0.5
 """s in which an answer has to come whole. A round figure: Escape and ] wait for so long if no key follows."""
@@ -293,6 +297,11 @@ class ConsoleDriver(LinuxDriver):
         """Seconds until the terminal has all that was written, as far as is known."""
         return max(self.line.late, time.monotonic() - self._waits_since if self._waits else 0.0)
 
+    def _redraw(self) -> None:
+        """Draw everything, as on a terminal that shows nothing of it."""
+        self.losses += 1
+        self._app.refresh()
+
     # --- the terminal's pulse
 
     def start_application_mode(self) -> None:
@@ -303,10 +312,23 @@ class ConsoleDriver(LinuxDriver):
             title, self._title = self._title, ""
             self.entitle(title)
         self._asks = True
-        self.write(WHO_ARE_YOU)
+        self._doubt_at_new_size()
+        self.pulse.doubt()
         if self._has_title:
             self.write(terminal_facts.BACKGROUND)
         self.ask()  # last: the end waits for this answer, after which no other one comes
+
+    def _doubt_at_new_size(self) -> None:
+        """Doubt that the terminal is still the same when its size changes, as where dtach is attached again."""
+        textual = signal.getsignal(signal.SIGWINCH)
+        if not callable(textual):  # in the background, application mode does not begin
+            return
+
+        def resized(number: int, frame: FrameType | None) -> None:
+            self.pulse.doubt()
+            textual(number, frame)
+
+        signal.signal(signal.SIGWINCH, resized)
 
     def stop_application_mode(self) -> None:
         if self._has_title:
@@ -327,16 +349,18 @@ class ConsoleDriver(LinuxDriver):
     def ask(self) -> None:
         """Ask the terminal for a sign that it gets what is written, and that its keys come here."""
         # While the queue is full, the question would be dropped, and count as one that the terminal does not answer.
-        if self._asks and not self._queue.full() and (question := self.pulse.question()):
-            self.write(question)
-            self.line.asked(self.pulse.asked)
+        if self._asks and not self._queue.full():
+            kind = WHO_ARE_YOU if self.pulse.asks_kind else ""
+            if question := self.pulse.question():
+                self.write(kind + question)  # the kind first: it is known once the question is answered
+                self.line.asked(self.pulse.asked)
 
     def process_message(self, message: Message) -> None:
         """Take the terminal's answers, and note how young its keys are."""
         match message:
             case events.CursorPosition():
-                if self.pulse.answered(message.y + 1, message.x + 1):
-                    self.line.answered(self.pulse.heard)
+                if (asked := self.pulse.answered(message.y + 1, message.x + 1)) is not None:
+                    self.line.answered(asked)
                 return
             case events.Key(key=key, character=answer) if key == _FACT:
                 self._take_facts(self._facts.told(answer or ""))
@@ -344,17 +368,21 @@ class ConsoleDriver(LinuxDriver):
             case events.Key(key=key) if key == _KIND:
                 self._take_kind(KIND.fullmatch(message.character or "")["kind"])  # type: ignore[index]
                 return
+            case events.Key(key=key) if key == _REDRAW:
+                self.pulse.doubt()
+                self._app.call_later(self._redraw)
             case events.Paste():
                 message.text = without_answers(message.text)
         self.pulse.stamp(message)
         super().process_message(message)
 
     def _take_kind(self, kind: str) -> None:
-        """Take the kind of the terminal, and ask one that will not show the questions for the rest."""
-        self.pulse.is_kind(kind)
-        is_first = not self._facts.kind
+        """Take the kind of the terminal, and at first ask one that will not show the questions for the rest."""
+        self.pulse.take_kind(kind)
+        if self._facts.kind:
+            return
         self._take_facts(self._facts.of_kind(kind))
-        if is_first and self._has_title and self._facts.can_be_asked_more:
+        if self._has_title and self._facts.can_be_asked_more:
             self._app.call_later(self._ask_more)
 
     def _ask_more(self) -> None:
@@ -390,6 +418,7 @@ class ConsoleDriver(LinuxDriver):
     def _sigcont_application(self, *_: object) -> None:
         """Take the terminal back, soon. Signals may arrive faster than that takes; one call serves all of them."""
         if self._writer_thread is not None and not self._continuing:
+            self.pulse.doubt()
             self._continuing = True
             self._app.call_later(self._continue)
 

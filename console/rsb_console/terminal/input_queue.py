@@ -165,6 +165,8 @@ def _is_idle(pump: MessagePump) -> bool:
 class LateInput(Wording):
     """Texts about keys that do not count."""
 
+    LATE = "keys came late: they are ignored"
+    MAY_BE_ANOTHER = "the terminal may have changed: keys are ignored until it answers"
     LIST_MOVED = "the list has moved: look, and press the key again"
 
 
@@ -272,7 +274,8 @@ class InputGate:
             return not seen
         if self._clock() - self._told_at > _TOLD_EVERY:
             self._told_at = self._clock()
-            self._app.notify("keys came late: they are ignored", severity="warning", timeout=_TOLD_EVERY)
+            text = LateInput.MAY_BE_ANOTHER() if self.pulse.is_doubted else LateInput.LATE()
+            self._app.notify(text, severity="warning", timeout=_TOLD_EVERY)
         return True
 
     def was_seen(self, changed_at: float) -> bool:

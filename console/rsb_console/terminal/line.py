@@ -130,12 +130,6 @@ class Line:
             # What was written before the question has arrived; of the rest, what a round trip carries does not wait.
             self._under_way = max(0.0, self._not_answered - self._trip * self.rate)
 
-    def forget(self) -> None:
-        """Note that the terminal may be another: no answer is expected."""
-        with self._lock:
-            self._asked.clear()
-            self._trip = None
-
     def waited(self, size: int, seconds: float) -> None:
         """Note that the kernel let a write wait: its buffer is full, and only the line empties it."""
         with self._lock:

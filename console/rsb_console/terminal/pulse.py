@@ -42,11 +42,18 @@ but works again, has its keys refused for so long."""
 _PLACES: Final = tuple((row, column) for row in range(2, 6) for column in range(2, 17))
 """Rows and columns of the questions. Each terminal has them: a smaller one would answer with its last column for all
 beyond, and its keys would count as late. In the first row, the answer could be F3 with a modifier."""
+_ALL_OPEN_AT_MOST = 2 * _OPEN_AT_MOST
+"""Questions without an answer, also of a terminal that may have been replaced meanwhile. Many fewer than the places, so
+that a late answer is not taken for one to a newer question at the same place."""
+_SEVERAL_FOR = 5.0
+"""s after a second answer to the same question for which several terminals count as attached. A round figure."""
+_SOONER = 0.02
+"""s by which an answer comes sooner than half of the shortest time so far, so that another program may give it."""
 
 WHO_ARE_YOU: Final = "\x1b[>c"
 """Asks for the kind of the terminal (DA2)."""
 KIND = re.compile(r"\x1b\[>(?P<kind>[\d;]*)c")
-_POSITION = re.compile(r"\x1b\[\d+;\d+R")
+_ANSWERS = re.compile(rf"\x1b\[\d+;\d+R|{KIND.pattern.replace('?P<kind>', '')}")
 _MULTIPLEXERS: Final = re.compile(r"(84|83)(;|$)|1;10;0$")
 """The kinds of tmux, GNU screen, and mosh."""
 _ENVIRONMENT: Final = ("TMUX", "STY", "ZELLIJ")
@@ -56,7 +63,9 @@ _LOOKS, _LOOK_EVERY = 6, 0.05
 the console."""
 _LONGEST_ANSWER = 16
 """Bytes, more than any answer has: a longer rest after an Escape is no answer that has come in part."""
-_TYPED_PIECES: Final = re.compile(rb"\x1b\[(?P<row>\d+);(?P<column>\d+)R|(?P<line>[\r\n])|(?P<end>\x04)")
+_TYPED_PIECES: Final = re.compile(
+    rb"\x1b\[(?P<row>\d+);(?P<column>\d+)R|" + KIND.pattern.encode() + rb"|(?P<line>[\r\n])|(?P<end>\x04)"
+)
 _LOCAL_MODES = 3
 """The place of the local modes in `termios.tcgetattr`."""
 
@@ -64,34 +73,46 @@ _LOCAL_MODES = 3
 class Pulse:
     """Questions to one terminal, and its answers. `answered` may be called from another thread than `question`.
 
+    dtach and the like pass on what one terminal says, and another time another one, or several at once. So a terminal
+    that tells its kind is asked for it with each question: the newest kind counts.
+
     Args:
         environ: the environment, which names some multiplexers.
 
     Attributes:
         asked: when the newest question was asked.
-        heard: when the question was asked that was answered last, or minus infinity.
-        round_trip: s that its answer took, or None before the first one.
+        round_trip: s that the last answer took, or None before the first one.
     """
 
     def __init__(self, environ: Mapping[str, str], clock: Callable[[], float] = time.monotonic) -> None:
-        self.asked = self.heard = float("-inf")
+        self.asked = float("-inf")
         self.round_trip: float | None = None
         self._clock = clock
+        self._heard = self._doubted_at = self._several_until = float("-inf")
         self._open: deque[tuple[tuple[int, int], float]] = deque()
+        self._answered: deque[tuple[int, int]] = deque(maxlen=_OPEN_AT_MOST)
         # The driver reads answers on a thread of its own, while the app asks.
         self._lock = threading.Lock()
         self._next = 0
         self._began = clock()
-        self._is_multiplexer = any(environ.get(name) for name in _ENVIRONMENT)
+        self._is_in_multiplexer = any(environ.get(name) for name in _ENVIRONMENT)
+        self._is_multiplexer = self._tells_kind = False
+        self._shortest = 0.0
 
     @property
     def relayed(self) -> bool:
-        """Whether answers prove nothing about keys: a multiplexer gives them, or nobody does."""
-        return self._is_multiplexer or self._is_mute
+        """Whether answers prove nothing about keys: a multiplexer, one of several terminals, or nobody gives them."""
+        is_multiplexer = self._is_in_multiplexer or self._is_multiplexer
+        return is_multiplexer or self._is_mute or self._clock() < self._several_until
 
     @property
     def _is_mute(self) -> bool:
         return self.round_trip is None and self._clock() - self._began > ANSWERS_WITHIN
+
+    @property
+    def heard(self) -> float:
+        """When the question was asked that was answered last, or minus infinity if another terminal may be there."""
+        return self._heard if self._heard >= self._doubted_at else float("-inf")
 
     @property
     def heard_now(self) -> float:
@@ -99,9 +120,27 @@ class Pulse:
         return float("inf") if self._is_mute else self.heard
 
     @property
+    def is_doubted(self) -> bool:
+        """Whether another terminal may be there, which has not answered yet."""
+        return self._heard < self._doubted_at and not self._is_mute
+
+    def doubt(self) -> None:
+        """Note that another terminal may be there from now on: no key counts before it has answered.
+
+        Signal handlers may call this, so it takes no lock.
+        """
+        self._doubted_at = self._clock()
+
+    @property
     def waits(self) -> bool:
         """Whether an answer is due from a terminal that gives answers."""
         return bool(self._open) and self.round_trip is not None
+
+    @property
+    def asks_kind(self) -> bool:
+        """Whether the next question is to ask for the kind, too: some terminals print what they do not know."""
+        oldest = next((at for _, at in self._open), float("inf"))
+        return self._tells_kind or self.is_doubted or self._clock() - oldest > FRESH_FOR
 
     def question(self) -> str:
         """Return the next question to write, or an empty string if too many wait for an answer."""
@@ -109,7 +148,8 @@ class Pulse:
         with self._lock:
             if self._open and now - self._open[0][1] > _GIVEN_UP_AFTER:
                 self._open.clear()
-            if len(self._open) >= _OPEN_AT_MOST:
+            to_this_terminal = sum(at >= self._doubted_at for _, at in self._open)
+            if to_this_terminal >= _OPEN_AT_MOST or len(self._open) >= _ALL_OPEN_AT_MOST:
                 return ""
             row, column = place = _PLACES[self._next]
             self._next = (self._next + 1) % len(_PLACES)
@@ -117,22 +157,33 @@ class Pulse:
             self.asked = now
         return f"\x1b7\x1b[{row};{column}H\x1b[6n\x1b8"
 
-    def answered(self, row: int, column: int) -> bool:
-        """Take an answer; return whether somebody has asked for it. If not, it changes nothing."""
-        place = row, column
+    def answered(self, row: int, column: int) -> float | None:
+        """Take an answer, and return when its question was asked, or None if nobody has asked.
+
+        A second answer to a question makes `relayed`, another one changes nothing.
+        """
+        place, now = (row, column), self._clock()
         with self._lock:
             asked = next((at for known, at in self._open if known == place), None)
             if asked is None:
-                return False
+                # What one terminal answers proves nothing about the keys of another one.
+                self._several_until = now + _SEVERAL_FOR if place in self._answered else self._several_until
+                return None
             # Answers come in order, so questions before this one will get none.
             while self._open.popleft()[0] != place:
                 pass
-            self.heard, self.round_trip = asked, self._clock() - asked
-        return True
+            self._answered.append(place)
+            self._heard, took = asked, now - asked
+            was_shortest = took if self.round_trip is None else self._shortest
+            if not self._tells_kind and took < was_shortest / 2 - _SOONER:
+                self.doubt()  # a multiplexer may be there now, which is nearer than the terminal
+            self.round_trip, self._shortest = took, min(took, was_shortest)
+        return asked
 
-    def is_kind(self, kind: str) -> None:
+    def take_kind(self, kind: str) -> None:
         """Take the terminal's kind, as it answers `WHO_ARE_YOU`."""
-        self._is_multiplexer |= _MULTIPLEXERS.match(kind) is not None
+        self._tells_kind = True
+        self._is_multiplexer = _MULTIPLEXERS.match(kind) is not None
 
     def stamp(self, event: object) -> None:
         """Note how young an event from the terminal is, for `heard_before`."""
@@ -145,7 +196,7 @@ def without_answers(pasted: str) -> str:
     The terminal may have given them in the midst of it, or the text contains them: so they prove nothing, and count as
     lost.
     """
-    return _POSITION.sub("", pasted)
+    return _ANSWERS.sub("", pasted)
 
 
 def is_from_terminal(event: object) -> bool:
@@ -222,8 +273,9 @@ class TypedKeys:
         with contextlib.suppress(OSError, termios.error):  # a terminal that takes nothing gives no answers
             if termios.tcgetattr(self._fd)[_LOCAL_MODES] & termios.ICANON:  # at first, and after Ctrl-Z
                 tty.setcbreak(self._fd, termios.TCSANOW)
+            kind = WHO_ARE_YOU if self._pulse.asks_kind else ""
             if question := self._pulse.question():
-                os.write(self._terminal, question.encode())
+                os.write(self._terminal, (kind + question).encode())
 
     def _is_typed(self, seconds: float) -> bool:
         """Whether a young line comes within some seconds."""
@@ -242,6 +294,8 @@ class TypedKeys:
         for piece in _TYPED_PIECES.finditer(data):
             if piece["row"] is not None:
                 self._pulse.answered(int(piece["row"]), int(piece["column"]))
+            elif piece["kind"] is not None:
+                self._pulse.take_kind(piece["kind"].decode())
             elif piece["line"] is not None:
                 # A pipe answers no questions, so its lines count.
                 is_young |= self._terminal < 0 or self._clock() - self._pulse.heard_now < FRESH_FOR

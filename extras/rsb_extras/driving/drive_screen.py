@@ -1,9 +1,9 @@
 """Drives a robot by keys, over a topic that has to be armed and whose old messages are dropped.
 
-A key counts for `_KEY_LASTS`, and the engine ends a motion by itself if no further command comes (`Publish.rest`). So
-the robot stops if the operator lets the key go, if the terminal or the console hangs, or if the way to the bridge
-does. Keys that come late never arrive here (`GuardedScreen`), unless a
-terminal multiplexer hides that they are late: then `Steering` asks for the rhythm of a key that a hand holds.
+A key counts for a while (`Steering`), and the engine ends a motion by itself if no further command comes
+(`Publish.rest`). So the robot stops if the operator lets the key go, if the terminal or the console hangs, or if the
+way to the bridge does. Keys that come late never arrive here (`GuardedScreen`), unless a terminal multiplexer hides
+that they are late: then `Steering` asks for the rhythm of a key that a hand holds.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import time
-from collections import deque
 from itertools import chain
 from typing import TYPE_CHECKING, ClassVar
 
@@ -34,9 +33,10 @@ from rsb_console.screens.take_over import AskHolderScreen
 from rsb_console.terminal.input_queue import DIALOG, SEEN_AFTER, GuardedScreen, InputGate
 from rsb_extras.driving.landing import ByHandText, Landing, hearing
 from rsb_extras.driving.publish_requests import DraftMessage, Publish
+from rsb_extras.driving.steering import APART_AT_MOST, STOPS, WAYS, Steering
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
     from concurrent.futures import Future
 
     from textual.app import ComposeResult
@@ -50,43 +50,13 @@ if TYPE_CHECKING:
     from rsb_console.screens.main import MainScreen
 
 TWIST, TWIST_STAMPED = (f"geometry_msgs/msg/{name}" for name in ("Twist", "TwistStamped"))
-_KEY_LASTS = 0.6
-"""s for which a key counts: a held key repeats after up to 0.5 s for the first time."""
 _RATE = 10.0
 """Hz of commands while the robot moves."""
 _RESTS_AFTER = 0.5
 """s without a command after which the bridge stops the robot."""
-_BURST, _BURST_SECONDS = 10, 0.1
-"""Keys in so short a time were held up on their way: people and keyboards repeat them more slowly."""
-_IGNORED_FOR = 0.3
-"""s after a burst in which keys are ignored."""
-_TOGETHER, _MANY_TOGETHER = 0.02, 4
-"""s between keys that a multiplexer has held up: they count as one, and so many are a burst. Keyboards repeat every
-0.03 s, and a connection that does not hang passes one on before the next."""
-_HELD = 0.15, 0.7
-"""s until a held key repeats for the first time, at least and at most: 0.66 is X11's default, the longest of the usual
-ones."""
-_REPEATS = _TOGETHER, 0.1
-"""s from one repeat of a held key to the next, at least and at most; 0.03 to 0.04 are usual. A burst may come in parts
-that are as far apart as a key's first repeat, but it has no such rhythm: the keys of a part come together."""
-_UNEVEN = 4
-"""Even repeats with which a motion begins after an uneven one, as the line shakes: more than a burst has parts."""
-_STOOD_STILL = 1.0
-"""s without a look at the keys after which this process stood still: keys that waited for it are ignored."""
 _TICKETS = 3
 """Tickets in a row that were too old when they came back."""
-_SPEED, _TURN = 0.2, 0.5
-"""m/s and rad/s to begin with. Round figures: nothing was measured."""
-_LEAST_SPEED, _MOST_SPEED = 0.02, 2.0
-"""m/s. Round figures; limits of a robot are its own (`rsb_bridge.model.by_hand.VelocityLimits`)."""
 _FASTER = 1.25  # times, at a key: 21 of them lead from the least speed to the most
-_WAYS = {
-    "up": (1, 0), "down": (-1, 0), "left": (0, 1), "right": (0, -1),
-    "i": (1, 0), "comma": (-1, 0), "j": (0, 1), "l": (0, -1),
-    "u": (1, 1), "o": (1, -1), "m": (-1, -1), "full_stop": (-1, 1),
-}  # fmt: skip
-"""Forward and turn, counterclockwise, of each key, with the letters of teleop_twist_keyboard."""
-_STOPS = {"k", "space"}
 _LANDING_LASTS = 10.0
 """s without a report after which the count of landed messages starts again at 0."""
 _WIDE, _BOX = 120, 44
@@ -101,6 +71,12 @@ class DriveText(Wording):
     """Texts of the screen."""
 
     NO_KEY = "no key is held"
+    HOLD = "hold the key: it does not count yet"
+    LET_GO = "these keys may be old: let go, then hold one key"
+    BUNCHES = "your line bunches keys, each {seconds:.2f} s: hold the key until it moves"
+    TOO_FAR_APART = (
+        "your line bunches keys, each {seconds:.1f} s: that is too late to drive; use a line with less delay"
+    )
     LIMITED = "at most {limits}: {lines}"
     DISARMED = "disarmed: press A to arm it{reason}"
     ARMED = "armed{left}"
@@ -255,93 +231,6 @@ async def drive(console: Console, route: RouteSnapshot) -> None:
     await console.ask(DriveScreen(console, route, type_name))
 
 
-class Steering:
-    """The velocity that the operator's keys mean.
-
-    Args:
-        relayed: gives whether late keys may look young, because a multiplexer stands between them and this process.
-
-    Attributes:
-        speed: m/s of a key.
-        turn: rad/s of a key.
-    """
-
-    def __init__(self, relayed: Callable[[], bool] = lambda: False) -> None:
-        self._relayed = relayed
-        self._pressed = ("", float("-inf"))
-        self._together = self._repeats_due = 0
-        self.speed, self.turn = _SPEED, _TURN
-        self._forward = self._left = 0
-        self._forward_until = self._left_until = 0.0
-        self._times: deque[float] = deque(maxlen=_BURST)
-        self._ignored_until = 0.0
-        self._looked_at = float("inf")
-
-    def press(self, key: str, now: float) -> None:
-        """Take a key at `now` (s)."""
-        self._note_time(now)
-        self._times.append(now)
-        if len(self._times) == _BURST and now - self._times[0] < _BURST_SECONDS:
-            self._ignored_until = now + _IGNORED_FOR
-        if self._relayed() and not self._is_held(key, now):
-            return
-        if key in _STOPS or now < self._ignored_until:
-            self._forward_until = self._left_until = 0.0
-            return
-        forward, left = _WAYS[key]
-        if forward:
-            self._forward, self._forward_until = forward, now + _KEY_LASTS
-        if left:
-            self._left, self._left_until = left, now + _KEY_LASTS
-
-    def _is_held(self, key: str, now: float) -> bool:
-        """Whether a key counts though it may have come late: it stops, or the robot moves, or a hand holds the key."""
-        (before, at), self._pressed = self._pressed, (key, now)
-        self._together = self._together + 1 if now - at < _TOGETHER else 1
-        repeats = self._repeats(now - at if key == before else float("inf"))
-        if self._together >= _MANY_TOGETHER:
-            self._ignored_until = now + _IGNORED_FOR
-        if key in _STOPS or now < self._ignored_until:
-            return True
-        moves = now < max(self._forward_until, self._left_until)
-        return self._together == 1 and (moves or repeats)
-
-    def _repeats(self, after: float) -> bool:
-        """Whether the same key has the rhythm of a held one: a pause, and then even repeats."""
-        if _HELD[0] < after < _HELD[1]:
-            self._repeats_due = 1
-            return False
-        if not self._repeats_due:
-            return False
-        if _REPEATS[0] <= after <= _REPEATS[1]:
-            self._repeats_due -= 1
-            return not self._repeats_due
-        self._repeats_due = _UNEVEN if after <= _HELD[0] else 0
-        return False
-
-    def _note_time(self, now: float) -> None:
-        if now - self._looked_at > _STOOD_STILL:
-            self._ignored_until = now + _IGNORED_FOR
-            self._forward_until = self._left_until = 0.0
-        self._looked_at = now
-
-    def came_late(self, now: float) -> bool:
-        """Whether keys are ignored at `now` (s)."""
-        return now < self._ignored_until
-
-    def change_speed(self, factor: float) -> None:
-        speed = max(_LEAST_SPEED, min(_MOST_SPEED, self.speed * factor))
-        # Both by one factor, so that a curve stays the same curve.
-        self.turn *= speed / self.speed
-        self.speed = speed
-
-    def at(self, now: float) -> tuple[float, float]:
-        """Return the velocity at `now` (s): forward in m/s, turn in rad/s. To be asked several times a second."""
-        self._note_time(now)
-        forward = self._forward * self.speed if now < self._forward_until else 0.0
-        return forward, self._left * self.turn if now < self._left_until else 0.0
-
-
 class DriveScreen(GuardedScreen, SideBox[None]):
     """Drives until it is closed. What is below stays in sight beside it: a camera's picture, for example."""
 
@@ -364,7 +253,7 @@ class DriveScreen(GuardedScreen, SideBox[None]):
     """
     HORIZONTAL_BREAKPOINTS = [(0, "-narrow"), (_WIDE, "-wide")]  # noqa: RUF012 -- Textual declares it without ClassVar
     # A disarms, or opens a question that is guarded; n keeps what this console holds.
-    SAFE_KEYS = frozenset({*_STOPS, "escape", "q", "A", "n", "ctrl+c"})
+    SAFE_KEYS = frozenset({*STOPS, "escape", "q", "A", "n", "ctrl+c"})
 
     def __init__(self, console: Console, route: RouteSnapshot, type_name: str) -> None:
         super().__init__()
@@ -458,7 +347,7 @@ class DriveScreen(GuardedScreen, SideBox[None]):
 
     def on_key(self, event: Key) -> None:
         """Take a key that drives or stops, which counts from the time when it came to this process."""
-        if event.key in _WAYS or event.key in _STOPS:
+        if event.key in WAYS or event.key in STOPS:
             event.stop()
             self._steering.press(event.key, event.time)
             self._draw()
@@ -552,7 +441,8 @@ class DriveScreen(GuardedScreen, SideBox[None]):
         elif route is None or route.arming is None or not route.arming.armed:
             moves = DriveText.NOT_WHILE_DISARMED()
         else:
-            moves = f"forward {forward:+.2f} m/s  turn {turn:+.2f} rad/s" if forward or turn else DriveText.NO_KEY()
+            moving = f"forward {forward:+.2f} m/s  turn {turn:+.2f} rad/s"
+            moves = moving if forward or turn else self._why_at_rest(now)
         self._forget_refusal(route)
         speed = f"keys: {self._steering.speed:.2f} m/s, {self._steering.turn:.2f} rad/s"
         problem = "keys came late, all at once: they are ignored" if self._steering.came_late(now) else self._problem
@@ -572,6 +462,17 @@ class DriveScreen(GuardedScreen, SideBox[None]):
         self._pane.update(Content("\n").join(lines))
         self._pane.set_class(is_armed, "-armed")
         self._pane.border_subtitle = Content("" if is_wide else f" {' · '.join(keys)} ")
+
+    def _why_at_rest(self, now: float) -> str:
+        if not self._steering.waits(now):
+            return DriveText.NO_KEY()
+        rhythm = self._steering.rhythm
+        if rhythm.is_broken:
+            return DriveText.LET_GO()
+        if not rhythm.apart:
+            return DriveText.HOLD()
+        text = DriveText.BUNCHES if rhythm.apart <= APART_AT_MOST else DriveText.TOO_FAR_APART
+        return text(seconds=rhythm.apart)
 
     def _forget_refusal(self, route: RouteSnapshot | None) -> None:
         """Show a refusal no longer than the topic is held by the same operator: it names who held it then."""

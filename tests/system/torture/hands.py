@@ -7,6 +7,9 @@ console runs in that process's pseudo-terminal, in tmux (``behind-tmux``), or in
 (``mute``). It is attached to the control PC's bridge. The process is stopped (SIGSTOP), keys are typed, and the process
 goes on some seconds later, or they come then in several parts. Before, a held key moves the robot: a case in which it
 does not is no proof.
+
+With ``mosh``, a line with a round trip of 0.2 s lies between them, and nothing passes on it meanwhile. With
+``dtach-mosh``, the console runs in dtach. The terminal itself was attached to that first, and then it is by mosh.
 """
 
 from __future__ import annotations
@@ -22,17 +25,18 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from tests.support.locks import two_domains
 from tests.support.waiting import eventually
+from tests.system.torture.mosh import Mosh
 from tests.system.torture.stage import TOPIC, TWIST, Nodes, Stage
 from tests.system.torture.terminal import Terminal
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Mapping
 
     from tests.system.torture.ends import Arrival
 
     from rsb_bridge.model.snapshot import RouteSnapshot
 
-Place = Literal["direct", "behind-tmux", "mute"]
+Place = Literal["direct", "behind-tmux", "mute", "mosh", "dtach-mosh"]
 UP = "\x1b[A"
 _PROGRAM = Path(sys.executable).with_name("rsb-console")
 _RESTS = 2.0
@@ -79,11 +83,13 @@ CASES = {
     "y to a question": Case("y", armed=False, before="A"),
     "yy to a question": Case("yy", armed=False, before="A"),
 }
-PLACES: tuple[Place, ...] = ("direct", "behind-tmux", "mute")
+PLACES: tuple[Place, ...] = ("direct", "behind-tmux", "mute", "mosh", "dtach-mosh")
+TOOLS = {"behind-tmux": ["tmux"], "mosh": ["mosh-server"], "dtach-mosh": ["mosh-server", "dtach"]}
+"""Programs that places need."""
 _READ_FOR = 2.0
 """s in which a question is drawn and names its keys."""
-_HELD_FOR, _REPEAT_EVERY = 0.5, 0.04
-"""s until a held key repeats, and then from one to the next: X11's."""
+_HELD_FOR, _REPEAT_EVERY, _REPEATS = 0.5, 0.04, 30
+"""s until a held key repeats, and then from one to the next: X11's; and their number."""
 
 
 class Result(NamedTuple):
@@ -113,9 +119,10 @@ class Bed:
 
     Args:
         place: where the console runs.
+        round_trip: s of mosh's line.
     """
 
-    def __init__(self, place: Place, folder: Path) -> None:
+    def __init__(self, place: Place, folder: Path, round_trip: float = 0.2) -> None:
         with contextlib.ExitStack() as resources:
             nodes = Nodes.start(folder, two_domains())
             resources.callback(nodes.close)
@@ -128,7 +135,21 @@ class Bed:
                 resources.callback(subprocess.run, [*tmux, "kill-server"], check=False)
                 subprocess.run([*tmux, "set-option", "-g", "mouse", "on"], check=True)
                 command = [*tmux, "attach"]
-            self.terminal = Terminal(*command, mute=place == "mute")
+            if place == "dtach-mosh":
+                socket = folder / "dtach"
+                master = subprocess.Popen(["dtach", "-N", str(socket), *command], stdin=subprocess.DEVNULL)
+                resources.enter_context(master)
+                resources.callback(master.terminate)
+                eventually(socket.exists, what="dtach")
+                command = ["dtach", "-a", str(socket)]
+                with contextlib.closing(Terminal(*command)) as self.terminal:
+                    self._await_console()
+            self._mosh: Mosh | None = None
+            environ: Mapping[str, str] = {}
+            if place in ("mosh", "dtach-mosh"):
+                self._mosh = resources.enter_context(Mosh(*command, round_trip=round_trip))
+                command, environ = self._mosh.client
+            self.terminal = Terminal(*command, mute=place == "mute", environ=environ)
             resources.callback(self.terminal.close)
             self._await_console()
             self._resources = resources.pop_all()
@@ -205,12 +226,24 @@ class Bed:
                 time.sleep(1.0)
             self.terminal.type("i")
             time.sleep(_HELD_FOR)
-            for _ in range(10):
+            for _ in range(_REPEATS):
                 self.terminal.type("i")
                 time.sleep(_REPEAT_EVERY)
 
         self._try("driven by keys", drive, lambda: any(each.number for each in self.heard(began)))
         self.await_rest()
+
+    def hold(self, seconds: float) -> list[Arrival]:
+        """Hold a key for some seconds, and return what the robot got until it was at rest."""
+        began = time.monotonic()
+        self.terminal.type("i")
+        due = began + _HELD_FOR
+        while due < began + seconds:
+            time.sleep(max(0.0, due - time.monotonic()))
+            self.terminal.type("i")
+            due += _REPEAT_EVERY
+        self.await_rest()
+        return self.heard(began)
 
     def late(self, case: Case, hang: float) -> Result:
         """Type keys while the line hangs; return what they did.
@@ -227,7 +260,7 @@ class Bed:
                 self.terminal.type(case.before)
                 time.sleep(_READ_FOR)
             began = time.monotonic()
-            with self.terminal.hung():
+            with self.terminal.hung() if self._mosh is None else self._mosh.hung():
                 if case.parts == 1:
                     self.terminal.type(case.keys)
                 time.sleep(hang)

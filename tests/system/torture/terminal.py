@@ -20,7 +20,7 @@ import termios
 import threading
 import time
 import tty
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 _TAIL = 200_000
 _READ_SIZE = 65_536
@@ -35,13 +35,14 @@ class Terminal:
     Args:
         command: what runs at the other end of the line.
         mute: whether it answers nothing.
+        environ: variables of the command, besides the test's own.
 
     Attributes:
         output: the newest bytes that came.
     """
 
-    def __init__(self, *command: str, mute: bool = False) -> None:
-        environ = {name: text for name, text in os.environ.items() if name not in ("TMUX", "STY", "ZELLIJ")}
+    def __init__(self, *command: str, mute: bool = False, environ: Mapping[str, str] = {}) -> None:
+        inherited = {name: text for name, text in os.environ.items() if name not in ("TMUX", "STY", "ZELLIJ")}
         self._fd, its_end = os.openpty()
         try:
             self._line = subprocess.Popen(
@@ -49,7 +50,7 @@ class Terminal:
                 stdin=its_end,
                 stdout=its_end,
                 start_new_session=True,
-                env=environ | {"TERM": "xterm-256color"},
+                env=inherited | {"TERM": "xterm-256color", **environ},
             )
         finally:
             os.close(its_end)

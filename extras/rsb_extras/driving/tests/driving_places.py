@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from tests.support.places import Place
 
-DRIVE_STOOD_STILL = Place("rsb_extras.driving.drive_screen", "_STOOD_STILL")
+DRIVE_STOOD_STILL = Place("rsb_extras.driving.steering", "_STOOD_STILL")
 DRIVE_TIME = Place("rsb_extras.driving.drive_screen", "time")
 ENDS_AFTER = Place("rsb_extras.driving.publishing", "ENDS_AFTER")
 MATCHED_WITHIN = Place("rsb_extras.driving.publishing", "MATCHED_WITHIN")

@@ -643,6 +643,36 @@ async def test_a_multiplexer_asks_for_held_keys(app: ConsoleApp, pilot: Pilot[No
     await shown(pilot, "to drive")
 
 
+async def arrive(app: ConsoleApp, clock: Clock, *arrivals: float) -> None:
+    """Have one key come at some times (s) from now."""
+    began = clock.now
+    for at in arrivals:
+        clock.now = began + at
+        key = Key("up", None)
+        key.time = clock.now
+        app.post_message(key)
+
+
+@pytest.mark.parametrize(
+    ("arrivals", "words", "seconds"),
+    [
+        ([0.0], DriveText.HOLD, None),
+        ([0.0, 0.05], DriveText.LET_GO, None),
+        ([0.0, 0.5, *[0.7] * 6, *[0.9] * 6, *[1.1] * 6], DriveText.BUNCHES, 0.2),
+        ([0.0, 0.5, *[1.0] * 15, *[1.5] * 15, *[2.0] * 15], DriveText.TOO_FAR_APART, 0.5),
+    ],
+    ids=["one", "two", "bunches", "too far apart"],
+)
+@driven()
+async def test_box_says_why_key_does_not_count(
+    app: ConsoleApp, pilot: Pilot[None], clock: Clock, arrivals: list[float], words: Any, seconds: float | None
+) -> None:
+    app.input_gate.pulse = Pulse({"TMUX": "1"})
+    await arrive(app, clock, *arrivals)
+    await shown(pilot, words, **({} if seconds is None else {"seconds": seconds}))
+    assert not sent(app)
+
+
 # -- limits
 
 LIMITED = replace(ARMED, limits=VelocityLimits(0.1, 0.3), limited_by=("robot.yaml:14",))

@@ -1,10 +1,13 @@
 """What keys mean and for how long, and which of them come too late to mean anything."""
 
+import random
+
 import pytest
 from textual.binding import Binding
 
 from rsb_console.actions.all_actions import BY_ID
-from rsb_extras.driving.drive_screen import _STOPS, _WAYS, DriveScreen, Steering
+from rsb_extras.driving.drive_screen import DriveScreen
+from rsb_extras.driving.steering import STOPS, WAYS, Steering
 
 LABELS = {
     "up": "↑", "down": "↓", "left": "←", "right": "→", "comma": ",", "full_stop": ".",
@@ -16,7 +19,7 @@ def test_all_keys_are_in_the_help() -> None:
     (chapter,) = BY_ID["drive"].chapters
     listed = "".join(keys for keys, _ in chapter.keys)
     bound = [binding.key for binding in DriveScreen.BINDINGS if isinstance(binding, Binding)]
-    keys = {key for each in bound for key in each.split(",")} | {*_WAYS, *_STOPS}
+    keys = {key for each in bound for key in each.split(",")} | {*WAYS, *STOPS}
     assert all(LABELS.get(key, key) in listed for key in keys)
     assert chapter.screen == DriveScreen.__name__
 
@@ -170,3 +173,118 @@ def test_late_keys_in_parts_move_nothing(count: int, parts: int, apart: float) -
 
 def test_a_stop_counts_at_once_behind_a_multiplexer() -> None:
     assert not moves(("up", 10.0), ("up", 10.5), ("up", 10.53), ("space", 10.531), at=10.531)
+
+
+# -- on a line that brings keys in bunches, as mosh does
+
+PAUSE = 0.5
+GAP = 0.01
+
+
+def held(seconds: float, repeat: float = 0.033, pause: float = PAUSE) -> list[float]:
+    """Return when a terminal sends a key that is held for some seconds."""
+    return [0.0, *(pause + number * repeat for number in range(int((seconds - pause) / repeat)))]
+
+
+def bunched(keys: list[float], every: float, shaken: float = 0.0) -> list[float]:
+    """Return when keys arrive over a line that carries them each `every` s, or later by up to a share of it."""
+    draw = random.Random(1)
+    carried = [0.013]
+    while carried[-1] < keys[-1]:
+        carried.append(carried[-1] + every * (1 + shaken * draw.random()))
+    return [next(at for at in carried if at >= key) for key in keys]
+
+
+class Drive:
+    """A drive by the keys of one direction behind a multiplexer, in which the screen looks each 0.01 s.
+
+    Attributes:
+        moving: the times (s) at which the robot moved.
+    """
+
+    def __init__(self, arrivals: list[float], lasts: float) -> None:
+        self.steering = Steering(lambda: True)
+        self.moving: list[float] = []
+        self.waits_at = self.broken_at = 0.0
+        waiting = sorted(arrivals)
+        for hundredths in range(int(lasts * 100)):
+            now = hundredths * GAP
+            while waiting and waiting[0] <= now:
+                self.steering.press("up", 10.0 + waiting.pop(0))
+            if self.steering.at(10.0 + now) != (0.0, 0.0):
+                self.moving.append(now)
+            self.waits_at = now if self.steering.waits(10.0 + now) else self.waits_at
+            self.broken_at = now if self.steering.rhythm.is_broken else self.broken_at
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether the motion did not stop between its begin and its end."""
+        return len(self.moving) == round((self.moving[-1] - self.moving[0]) / GAP) + 1
+
+
+@pytest.mark.parametrize("shaken", [0.0, 0.3])
+@pytest.mark.parametrize("repeat", [0.025, 0.033, 0.04, 0.09])
+@pytest.mark.parametrize("every", [0.001, 0.03, 0.1, 0.2, 0.25])
+def test_key_held_through_bunches_drives(every: float, repeat: float, shaken: float) -> None:
+    keys = held(8.0, repeat)
+    drive = Drive(bunched(keys, every, shaken), 12.0)
+    assert drive.is_whole
+    assert drive.moving[0] < PAUSE + 0.3 + 7 * every
+    assert drive.moving[-1] < keys[-1] + LASTS + every * (1 + shaken) + 2 * GAP
+
+
+@pytest.mark.parametrize("pause", [0.25, 0.66])
+@pytest.mark.parametrize("every", [0.1, 0.2])
+def test_pause_of_any_keyboard_begins_motion(every: float, pause: float) -> None:
+    drive = Drive(bunched(held(5.0, pause=pause), every), 7.0)
+    assert drive.is_whole
+    assert drive.moving[0] < pause + 7 * every
+
+
+@pytest.mark.parametrize("every", [0.1, 0.2])
+def test_tapped_keys_move_nothing(every: float) -> None:
+    assert not Drive(bunched([number * 0.3 for number in range(20)], every), 8.0).moving
+
+
+@pytest.mark.parametrize("hang", [2.0, 14.0])
+@pytest.mark.parametrize("seconds", [0.1, 1.0, 3.0, 14.0])
+def test_what_waited_for_line_moves_nothing(seconds: float, hang: float) -> None:
+    """A key that is held on for as long as the line hangs has to be let go."""
+    late, still_held = [hang] * len(held(seconds)), bunched([hang + each for each in held(4.0, pause=0.033)], 0.1)
+    assert not Drive(late, hang + 3.0).moving
+    drive = Drive([*late, *still_held], hang + 6.0)
+    assert not drive.moving
+    assert drive.waits_at > hang + 3.0
+    assert drive.broken_at > hang + 3.0
+
+
+@pytest.mark.parametrize("trip", [0.05, 0.1, 0.16, 0.2, 0.3, 0.5])
+@pytest.mark.parametrize(
+    "counts", [(1, 2, 4, 8, 16, 32, 64), (1, 2, 3, 4, 5, 6, 7, 8), (1, 2, 4, 5, 6, 7, 8), (1, 1, 2, 4, 8)]
+)
+def test_late_keys_of_slow_start_move_nothing(counts: tuple[int, ...], trip: float) -> None:
+    """What TCP sends again, each round trip a larger part."""
+    assert not Drive([14.0 + trip * part for part, keys in enumerate(counts) for _ in range(keys)], 22.0).moving
+
+
+@pytest.mark.parametrize(("gap", "breaks"), [(0.4, False), (0.8, True)])
+@pytest.mark.parametrize("every", [0.1, 0.2])
+def test_motion_resumes_after_short_gap(every: float, gap: float, breaks: bool) -> None:
+    arrivals = [3.0 + gap if 3.0 < each < 3.0 + gap else each for each in bunched(held(8.0), every)]
+    drive = Drive(arrivals, 10.0)
+    assert drive.is_whole is not breaks
+    assert drive.moving[-1] > 8.0
+
+
+def test_long_gap_asks_for_key_held_anew() -> None:
+    arrivals = [5.0 if 3.0 < each < 5.0 else each for each in bunched(held(8.0), 0.1)]
+    again = [9.0 + each for each in bunched(held(3.0), 0.1)]
+    drive = Drive([*arrivals, *again], 14.0)
+    assert not [now for now in drive.moving if 3.0 + LASTS + 0.1 < now < 9.5]
+    assert drive.moving[-1] > 12.0
+
+
+def test_paste_of_keys_stops_motion() -> None:
+    drive = Drive([*bunched(held(3.0), 0.1), *[2.95] * 60], 5.0)
+    assert drive.moving[-1] < 2.95 + GAP
+    assert drive.steering.rhythm.is_broken is False
