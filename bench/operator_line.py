@@ -56,7 +56,8 @@ _RELEASED = 1.5
 """s after which a key that is not held any more moves nothing."""
 _PATHS = tuple(product((0.06, 0.2), (0.0, 0.05)))
 """Round trips, s, and parts of the packets that are lost each way."""
-_CURSOR_KEYS = 10
+_CURSOR_KEYS, _KEY_SHOWN = 10, 0.2
+"""Keys, and s after which their effect has been written."""
 _DOWN = "\x1b[B"
 
 _MAIN, _HELP, _DISARMED = "/cmd_vel", "Help: every key", "press A to arm it"
@@ -275,12 +276,14 @@ def _peers(sides: Sequence[Side], options: Namespace) -> None:
 
 def _peer(name: str, terminal: SlowTerminal) -> None:
     time.sleep(_SETTLES)
-    rest, received, began = _received(terminal), terminal.received, time.monotonic()
+    rest, by_key = _received(terminal), []
     for _ in range(_CURSOR_KEYS):
+        received = terminal.received
         terminal.type(_DOWN)
+        time.sleep(_KEY_SHOWN)
+        by_key.append(terminal.received - received - rest * _KEY_SHOWN)
         time.sleep(1.0)
-    a_key = (terminal.received - received - rest * (time.monotonic() - began)) / _CURSOR_KEYS
-    print(f"{name:<24} {rest:>14,.0f} {max(0.0, a_key):>10,.0f}", flush=True)
+    print(f"{name:<24} {rest:>14,.0f} {max(0.0, statistics.median(by_key)):>10,.0f}", flush=True)
 
 
 PARTS = {"rest": _rest, "keys": _keys, "mosh": _mosh, "peers": _peers}
