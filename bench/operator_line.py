@@ -33,7 +33,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from bench import bed
 from bench.line_bed import Checkout, Side
-from bench.slow_terminal import KINDS, NEVER, SlowTerminal
+from bench.slow_terminal import KINDS, NEVER, NotShownError, SlowTerminal
 from tests.support.relay import Relay
 
 if TYPE_CHECKING:
@@ -50,10 +50,8 @@ REST = 10.0
 _SETTLES = 3.0
 _FULL_AFTER, _QUIET_AFTER = 6.0, 1.0
 """s before a key, with a limit and without: what is written into a full line waits by then."""
-_AGAIN_AFTER = 2.0
-"""s until Yes is pressed again, if it has come too early to count."""
-_RELEASED = 1.5
-"""s after which a key that is not held any more moves nothing."""
+_TRIES, _AGAIN_AFTER = 10, 2.0
+"""Presses of Yes, and s until it is pressed again, if it has come too early to count."""
 _PATHS = tuple(product((0.06, 0.2), (0.0, 0.05)))
 """Round trips, s, and parts of the packets that are lost each way."""
 _CURSOR_KEYS, _KEY_SHOWN = 10, 0.2
@@ -61,7 +59,7 @@ _CURSOR_KEYS, _KEY_SHOWN = 10, 0.2
 _DOWN = "\x1b[B"
 
 _MAIN, _HELP, _DISARMED = "/cmd_vel", "Help: every key", "press A to arm it"
-_QUESTION, _ARMED, _NO_KEY, _MOVES = "Arm /cmd_vel of", "armed, for", "no key is held", "forward +"
+_QUESTION, _ARMED, _MOVES = "Arm /cmd_vel of", "armed, for", "forward +"
 
 
 class Scene(NamedTuple):
@@ -82,6 +80,8 @@ class Scene(NamedTuple):
 def _layout(name: str, text: str) -> tuple[tuple[str, str], ...]:
     return ("V", "type to search"), (name, f"layout {name}"), ("\r", text)
 
+
+_Took = dict[str, list[float]]
 
 MAIN = Scene("main screen", (), _MAIN)
 DRIVE = Scene("drive box, no key", (("D", _DISARMED),), _DISARMED)
@@ -162,49 +162,48 @@ def _keys(sides: Sequence[Side], options: Namespace) -> None:
     _head(sides, "bytes/s", "terminal", "shows", "key")
     scenes = [each for each in (MAIN, CAMERA) if each.name in options.scenes]
     for rate, kind, scene in product(options.rates, options.terminals, scenes):
-        took = []
-        for side in sides:
-            with _console(side, kind) as terminal:
-                _open(terminal, scene)
-                took.append(_press_all(terminal, scene, options, rate or None))
+        took: list[_Took] = [{key: [] for key in KEYS} for _ in sides]
+        for _ in range(options.rounds):
+            for side, times in zip(sides, took, strict=True):
+                with _console(side, kind) as terminal:
+                    _press_all(terminal, scene, options.within, rate or None, times)
         _rows((f"{rate or 'any'}", kind, scene.name), took, options.within)
 
 
-def _press_all(terminal: SlowTerminal, scene: Scene, options: Namespace, rate: float | None) -> dict[str, list[float]]:
-    """Press each key some times; return the s until the screen showed it."""
-    took: dict[str, list[float]] = {name: [] for name in KEYS}
+def _press_all(terminal: SlowTerminal, scene: Scene, within: float, rate: float | None, took: _Took) -> None:
+    """Press each key once, and add the s until the screen showed it: `NEVER` for those that could not be pressed."""
+    pressed = 0
 
-    def press(name: str, key: str, shows: Shows, *, held: bool = False) -> None:
+    def press(key: str, shows: Shows, *, held: bool = False) -> None:
+        nonlocal pressed
         terminal.rate = rate
         time.sleep(_QUIET_AFTER if rate is None else _FULL_AFTER)
-        took[name].append(terminal.key_to_screen(key, shows, options.within, held=held))
+        took[KEYS[pressed]].append(terminal.key_to_screen(key, shows, within, held=held))
+        pressed += 1
         terminal.rate = None
         if not held:
             terminal.until(shows)
 
-    for _ in range(options.rounds):
-        press("help", "?", _has(_HELP))
-        press("help gone", "\x1b", _has(scene.text, without=_HELP))
-        press("drive box", scene.drives, _has(_DISARMED))
-        press("arm question", "A", _has(_QUESTION))
+    _open(terminal, scene)
+    try:
+        press("?", _has(_HELP))
+        press("q", _has(scene.text, without=_HELP))
+        press(scene.drives, _has(_DISARMED))
+        press("A", _has(_QUESTION))
         _agree(terminal)
-        press("forward", "i", _has(_MOVES), held=True)
-        time.sleep(_RELEASED)
-        terminal.until(_has(_NO_KEY))
-        terminal.type("A")
-        terminal.until(_has(_DISARMED))
-        terminal.type("\x1b")
-        terminal.until(_has(scene.text, without=_DISARMED))
-    return took
+        press("i", _has(_MOVES), held=True)
+    except NotShownError:  # such as a question whose Yes never counts
+        for key in KEYS[pressed:]:
+            took[key].append(NEVER)
 
 
 def _agree(terminal: SlowTerminal) -> None:
     """Answer the question with Yes, once its keys count."""
-    for _ in range(30):
+    for _ in range(_TRIES):
         terminal.type("y")
         if terminal.shows(_has(_ARMED), _AGAIN_AFTER):
             return
-    terminal.until(_has(_ARMED))
+    terminal.until(_has(_ARMED), _AGAIN_AFTER)
 
 
 # --- mosh
@@ -220,15 +219,18 @@ def _mosh(sides: Sequence[Side], options: Namespace) -> None:
         if scene.name not in options.scenes:
             continue
         about = (f"{round_trip * 1e3:.0f} ms", f"{loss:.0%}", scene.name)
-        rests, took = [], []
-        for side in sides:
+        rests: list[float] = []
+        took: list[_Took] = [{key: [] for key in KEYS} for _ in sides]
+        for side, times in zip(sides, took, strict=True):
             with _over_mosh(side, round_trip, loss) as (terminal, relay):
                 _open(terminal, scene)
                 time.sleep(_SETTLES)
                 carried = relay.ways[1].carried
                 _received(terminal)
                 rests.append((relay.ways[1].carried - carried) / REST)
-                took.append(_press_all(terminal, scene, options, None))
+            for _ in range(options.rounds):
+                with _over_mosh(side, round_trip, loss) as (terminal, relay):
+                    _press_all(terminal, scene, options.within, None, times)
         _row((*about, "at rest, B/s"), [f"{each:,.0f}" for each in rests], rests)
         _rows(about, took, options.within)
 

@@ -80,6 +80,10 @@ KINDS = {
 sixel, and a VT220 behind a line that brings no answers."""
 
 
+class NotShownError(SystemExit):
+    """The screen does not show in time what is expected of it; the message has the screen."""
+
+
 class SlowTerminal:
     """A program in a terminal whose line has a rate. A context manager.
 
@@ -144,11 +148,11 @@ class SlowTerminal:
         """Wait until the screen shows something.
 
         Raises:
-            SystemExit: it does not; the message has the screen.
+            NotShownError: it does not.
         """
         if not self.shows(shows, within):
             shown = "\n".join(self.lines)
-            raise SystemExit(f"the program in the terminal does not show what is expected of it:\n{shown}")
+            raise NotShownError(f"the program in the terminal does not show what is expected of it:\n{shown}")
 
     def shows(self, shows: Shows, within: float) -> bool:
         """Return whether the screen shows something, or comes to show it in time."""
