@@ -17,6 +17,7 @@ from rsb_console.command.formatting import json_line
 from rsb_console.command.shell import FAILURE, OK, print_line
 from rsb_console.notation.ascii_signs import prefers_ascii
 from rsb_extras.doctor import machine, ros_setup, session_needs
+from rsb_extras.doctor.operator_line import line_check
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -40,7 +41,7 @@ def doctor(arguments: Namespace) -> int:
         return print_mistakes(error)
     own_domain = None if session is None else session.domain_id
     checks = [*ros_setup.checks(os.environ, own_domain=own_domain), *machine.checks(os.environ)]
-    checks.append(terminal_check(os.environ))
+    checks += [terminal_check(os.environ), line_check(os.environ)]
     if session is not None and path is not None:
         checks += session_needs.checks(session, path, os.environ)
     found = list(examine(checks))
