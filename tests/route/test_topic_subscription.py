@@ -102,7 +102,7 @@ def make_subscription(
 @pytest.mark.parametrize(
     ("rate", "mean_size", "depth"),
     [
-        (None, 0.0, 500),
+        (None, 0.0, 2500),
         (0.5, 100.0, 10),
         (100.0, 100.0, 500),
         (1000.0, 1000.0, 5000),
@@ -112,7 +112,12 @@ def make_subscription(
     ],
 )
 def test_auto_keeps_five_seconds_within_bounds(rate: float | None, mean_size: float, depth: int) -> None:
-    assert auto_depth(rate, mean_size) == depth
+    assert auto_depth("reliable", rate, mean_size) == depth
+
+
+def test_best_effort_begins_with_what_is_worth_sending() -> None:
+    """Of which only the newest second is."""
+    assert auto_depth("best_effort", None, 0.0) == 500
 
 
 @pytest.mark.parametrize(
@@ -130,14 +135,14 @@ def test_depth_covers_what_is_kept(
     keep: Keep, rate: float | None, mean_size: float, depth: int, make_context: Callable[..., Context]
 ) -> None:
     """All of it comes at once when the bridge goes on after it stood still."""
-    assert auto_depth(rate, mean_size, keep) == depth
+    assert auto_depth("reliable", rate, mean_size, keep) == depth
     if not mean_size:
         ros, owner = FakeRos(), Owner()
         owner.proposal.keep = keep
         make_subscription(make_context(ros), owner, Qos(), automatic=True, expected_rate=rate)
         owner.arming.required, owner.arming.lease = True, None  # such topics keep nothing
         make_subscription(make_context(ros), owner, Qos(), automatic=True, expected_rate=rate)
-        assert [each.qos.depth for each in ros.made] == [depth, 500]
+        assert [each.qos.depth for each in ros.made] == [depth, 2500]
 
 
 @pytest.mark.parametrize(
@@ -162,7 +167,7 @@ def test_losses_reopen_nothing_that_gets_no_deeper(
 def test_losses_deepen_subscription_of_busy_topic(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
     ros, owner = FakeRos(), Owner()
     subscription = make_subscription(make_context(ros), owner, Qos(depth=0), automatic=True)
-    assert [each.qos.depth for each in ros.made] == [500]
+    assert [each.qos.depth for each in ros.made] == [2500]
 
     def second_passes() -> None:
         owner.meter.add(1000, 100_000, loop.time())
@@ -176,7 +181,7 @@ def test_losses_deepen_subscription_of_busy_topic(loop: VirtualLoop, make_contex
     subscription.numbers.lose(7)
     for _ in range(10):
         second_passes()
-    assert [(each.qos.depth, each.closed) for each in ros.made] == [(500, True), (5000, False)]
+    assert [(each.qos.depth, each.closed) for each in ros.made] == [(2500, True), (5000, False)]
     subscription.numbers.lose(2)
     second_passes()
     assert len(ros.made) == 2

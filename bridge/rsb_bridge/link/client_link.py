@@ -232,11 +232,17 @@ class ClientLink(Link):
         def begin(suite: CipherSuite | None) -> ClientConnection:
             return ClientConnection(hello, secret, suite or self._suite, multiplexed=self.transport.multiplexed)
 
-        def is_needed() -> bool:
-            """Whether nothing has come on the present connection since the attempt began, or another way is better."""
+        def is_needed(event: Established) -> bool:
+            """Whether nothing has come on the present connection since the attempt began, or another way is better.
+
+            What both sides have handled must be what they said, too: the present connection may have moved it on.
+            """
             is_alive = self.linked and self._moves_to is None and self.keepalive.carried_since(began)
             session = (b"", 0) if self.session is None else (self.session.id, self.session.handled)
-            return not is_alive and session == (hello.session, hello.handled)
+            if is_alive or session != (hello.session, hello.handled):
+                return False
+            # Without a connection, a wrong number is a breach of the protocol.
+            return not self.linked or self.session is None or self.session.could_resume(event)
 
         if key is not None:  # without a key nothing proves a server: the transport connects to the only one, or refuses
             try:
@@ -251,7 +257,7 @@ class ClientLink(Link):
 
             def linked(stream: Stream, event: Established | Accepted, more: list[Event]) -> None:
                 assert isinstance(event, Established)
-                if not is_needed():
+                if not is_needed(event):
                     stream.abort("not needed")
                     return
                 self.ways.take(host)
@@ -275,7 +281,7 @@ class ClientLink(Link):
         self,
         hosts: list[str],
         begin: Callable[[CipherSuite | None], ClientConnection],
-        is_needed: Callable[[], bool],
+        is_needed: Callable[[Established], bool],
     ) -> Failure | None:
         """Connect to the announced server that proves the key. Return the failure, or None if the link is up."""
         proven, failures, unproven = await find_servers(self._trials, self.transport, hosts, begin)
@@ -287,7 +293,7 @@ class ClientLink(Link):
         accepting = [each for each in proven if each.refusal is None]
         if len(accepting) == 1:
             server = accepting[0]
-            if is_needed():
+            if is_needed(server.established):
                 established, more = server.confirm()
                 self._take(server.stream, server.connection, established, more)
             else:

@@ -193,15 +193,20 @@ class ProvenServer(NamedTuple):
     events: list[Event]
     refusal: Failure | None  # the server's, or None if it accepts the client
 
+    @property
+    def established(self) -> Established:
+        """The event of the handshake of a server that accepts."""
+        established = self.events[0]
+        assert isinstance(established, Established)
+        return established
+
     def confirm(self) -> tuple[Established, list[Event]]:
         """Return the event of the handshake, which the first message confirms, and what followed.
 
         The stream needs another handler at once.
         """
-        established, *more = self.events
-        assert isinstance(established, Established)
         self.stream.resume_reading()  # which delivers later
-        return established, more
+        return self.established, self.events[1:]
 
     def give_up(self) -> None:
         self.stream.abort("not accepted")

@@ -77,6 +77,10 @@ class LinkSession:
         """Whether both sides resume it on a new connection."""
         return (event.answer or event.peer).session == self.id
 
+    def could_resume(self, event: Established) -> bool:
+        """Whether the server's answer begins another session, or resumes this one where it is by now."""
+        return not self.resumes(event) or self._could_go_on_from(event.peer.handled)
+
     def suspend(self, reason: str, ends: asyncio.TimerHandle) -> None:
         """Wait for another connection until the timer ends the session."""
         self._ends = ends

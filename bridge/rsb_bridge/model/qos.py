@@ -59,7 +59,9 @@ AUTO = "auto"
 AUTO_SECONDS = 5.0
 """What a reliable volatile topic brings in this time may wait with ``auto``: a link that stalls longer is given up."""
 AUTO_DEPTH = 10  # messages, where the QoS names no number: the default of ROS
-_DEPTH_AT_FIRST = 500  # messages before a rate is measured: as many as a topic of 100 Hz brings in `AUTO_SECONDS`
+_AT_FIRST: dict[Reliability, int] = {"reliable": 2_500, "best_effort": 500}
+"""Messages before a rate is measured: as many as a topic of 500 Hz brings in `AUTO_SECONDS`, or in the second for which
+it is worth sending. DDS takes memory for those that wait only (bench/README.md, *A bridge that stands still*)."""
 _MOST_AUTO = 10_000  # messages: as many as the receiving side keeps (`limits.KEPT_DEPTH`)
 _ASSERTED_EVERY = 0.02  # s between two assertions of liveliness at least. Each takes 10 µs
 QUEUE_BYTES = 32 << 20
@@ -183,10 +185,11 @@ def parts_of_lease(seconds: float, publishers: int = 1) -> float:
     return max(seconds / 3, publishers * _ASSERTED_EVERY)
 
 
-def auto_depth(rate: float | None, mean_size: float, keep: Keep | None = None) -> int:
+def auto_depth(reliability: Reliability, rate: float | None, mean_size: float, keep: Keep | None = None) -> int:
     """Return the depth that ``auto`` means on a volatile topic: as many messages as it brings in `AUTO_SECONDS`.
 
     Args:
+        reliability: of the subscription.
         rate: Hz, or None if it is not yet measured.
         mean_size: bytes of a message, or 0 if it is not yet measured.
         keep: the promise to keep more than that, or None. Its seconds and bytes count then, and without a rate the
@@ -196,7 +199,7 @@ def auto_depth(rate: float | None, mean_size: float, keep: Keep | None = None) -
         At least 10, at most 10,000 messages, and no more than 32 MiB or the bytes to keep where that is more than 10.
     """
     if rate is None:
-        return _DEPTH_AT_FIRST if keep is None else _MOST_AUTO
+        return _AT_FIRST[reliability] if keep is None else _MOST_AUTO
     seconds, size = AUTO_SECONDS, QUEUE_BYTES
     if keep is not None:
         seconds, size = max(seconds, keep.seconds), keep.own_bytes or KEEP_BUDGET

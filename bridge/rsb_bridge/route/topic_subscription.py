@@ -221,7 +221,7 @@ class TopicSubscription:
         # A bridge that stood still gets all at once, and what it promised to keep must not be lost then.
         keep = promised_keep(self._route)
         size = meter.bytes / meter.count if meter.count else 0.0
-        return msgspec.structs.replace(qos, depth=auto_depth(rate, size, keep))
+        return msgspec.structs.replace(qos, depth=auto_depth(qos.reliability, rate, size, keep))
 
     def _subscribe(self, on_failure: OnFailure | None) -> Subscription:
         if self.histories is not None:

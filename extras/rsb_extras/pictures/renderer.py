@@ -14,6 +14,7 @@ from typing import IO, TYPE_CHECKING
 
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.wording import Wording
+from rsb_extras.pictures.confinement import hide_memory
 from rsb_extras.pictures.picture import PICTURE_LIMIT, Picture, PictureError, Wish, decode_picture
 from rsb_extras.pictures.worker import Task, frame
 
@@ -163,6 +164,7 @@ class Renderer:
         command = [sys.executable, "-P", "-m", "rsb_extras.pictures.worker"]  # -P: no module of the working folder
         if self._is_closed:
             raise _StoppedError(NoPicture.CLOSED())
+        hide_memory()
         try:
             process = subprocess.Popen(  # noqa: S603 -- this program's own module
                 command,

@@ -15,6 +15,7 @@ import subprocess
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from unittest.mock import patch
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -23,8 +24,11 @@ from nav_msgs.msg import MapMetaData, OccupancyGrid, Odometry
 from rcl_interfaces.msg import Log
 from sensor_msgs.msg import BatteryState, CompressedImage, Image, JointState, LaserScan, NavSatFix
 from std_msgs.msg import Header
+from tests.support.other_user import only_root, process_of_other
 from visualization_msgs.msg import Marker
 
+from rsb_extras.pictures import confinement
+from rsb_extras.pictures import renderer as renderer_module
 from rsb_extras.pictures.confinement import Confinement
 from rsb_extras.pictures.picture import Wish
 from rsb_extras.pictures.seccomp import REFUSED, filter_program
@@ -83,6 +87,7 @@ print(json.dumps(held | {"imports": bool(__import__("zipfile"))} | {name: refuse
     "clone3": lambda: call("syscall", 435, None, 0),
 }.items()}))
 """
+_SET_DUMPABLE = 4
 _ALLOW = 0x7FFF0000
 _ARGUMENTS: list[tuple[str, tuple[int, ...], tuple[int, ...]]] = [
     ("openat", (0, 0, os.O_RDONLY | os.O_CLOEXEC), (0, 0, os.O_WRONLY)),
@@ -120,6 +125,40 @@ def test_attacker_in_the_drawing_process(tried: dict[str, Any]) -> None:
         pytest.skip("the numbers of this machine's system calls are not known")
     assert {refused.pop(name) for name in _NEW_CALLS} == {errno.ENOSYS}
     assert {name for name, number in refused.items() if number != errno.EPERM} == set()
+
+
+@only_root
+@pytest.mark.parametrize("landlock", [0, 7])
+def test_bridge_hides_its_memory_if_landlock_does_not(landlock: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """From a child of its own user's, which is not root: a child of root's that draws has none of root's rights."""
+    monkeypatch.setattr(confinement, "_landlock_version", lambda libc: landlock)
+    reads, writes = os.pipe()
+
+    def bridge() -> None:
+        ctypes.CDLL(None).prctl(_SET_DUMPABLE, 1, 0, 0, 0)  # which another user's process is not before an exec
+        confinement.hide_memory()
+        if os.fork():
+            os.wait()
+            return
+        try:
+            os.close(os.open(f"/proc/{os.getppid()}/mem", os.O_RDONLY))
+            os.write(writes, b"0")
+        except OSError as error:
+            os.write(writes, str(error.errno).encode())
+
+    with process_of_other(bridge):
+        found = int(os.read(reads, 10))
+    for each in (reads, writes):
+        os.close(each)
+    if landlock and Path("/proc/sys/kernel/yama/ptrace_scope").exists():
+        pytest.skip("the kernel may close it to each child")
+    assert found == (0 if landlock else errno.EACCES)
+
+
+async def test_bridge_hides_its_memory_before_drawing(renderer: Renderer) -> None:
+    with patch.object(subprocess, "Popen", side_effect=OSError), patch.object(renderer_module, "hide_memory") as hides:
+        await renderer.draw(task(Wish(), Vector3(x=1.0)))
+    hides.assert_called_once()
 
 
 def _answer(program: bytes, audit: int, number: int, *arguments: int) -> int:
