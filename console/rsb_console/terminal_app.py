@@ -53,6 +53,7 @@ if TYPE_CHECKING:
 
     from rich.console import RenderableType
     from textual.filter import LineFilter
+    from textual.geometry import Region
     from textual.screen import Screen
     from textual.widget import Widget
 
@@ -220,6 +221,11 @@ class TerminalApp(App[ReturnType]):
     def losses(self) -> int:
         """Number of times that the terminal was cleared."""
         return self._driver.losses if isinstance(self._driver, ConsoleDriver) else 0
+
+    def forget(self, region: Region) -> None:
+        """Have a region of the screen written again, as pixels stand there."""
+        if self.writer is not None:
+            self.writer.forget(region)
 
     def write_to_terminal(self, sequence: str) -> None:
         """Write what Textual does not know of, such as an image. It has to leave cursor and colours as they were."""

@@ -94,6 +94,18 @@ def test_terminal_shows_what_was_drawn(turns: Sequence[Sequence[Piece]], most: i
     assert ours.next(most, (), ()).text == ""
 
 
+def test_region_is_written_again() -> None:
+    """As where an image in pixels stood."""
+    ours = frames()
+    drawn(ours, (1, 0, "left right", PLAIN), (2, 0, "below", PLAIN))
+    ours.next(INF, (), ())
+    ours.forget(Region(5, 1, 100, 100))
+    frame = ours.next(INF, (), ())
+    assert "right" in frame.text
+    assert "left" not in frame.text
+    assert {left for _, left, _ in frame.spans} == {5}
+
+
 def test_wide_characters_are_written_whole() -> None:
     ours, emulator = frames(), Emulator()
     drawn(ours, (0, 0, "網a", PLAIN))

@@ -14,13 +14,14 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 from rich.cells import split_graphemes
 from textual._compositor import ChopsUpdate, LayoutUpdate
+from textual.geometry import Region
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from rich.color import ColorSystem
     from rich.style import Style
-    from textual.geometry import Region, Size
+    from textual.geometry import Size
     from textual.strip import Strip
 
 _ATTRIBUTES: Final = ("1", "2", "3", "4", "5", "6", "7", "8", "9", "21", "51", "52", "53")
@@ -108,10 +109,14 @@ class Frames:
             self._shown = [[None] * size.width for _ in range(size.height)]
             self._changed.clear()
 
-    def forget(self) -> None:
-        """Note that the terminal may show anything."""
-        self._shown = [[None] * len(row) for row in self._shown]
-        self._changed = set(range(len(self._wanted)))
+    def forget(self, region: Region | None = None) -> None:
+        """Note that the terminal may show anything, or does so in a region."""
+        region = region or Region(0, 0, len(self._wanted[0]) if self._wanted else 0, len(self._wanted))
+        for y in region.line_range:
+            if y < len(self._shown):
+                columns = range(*slice(region.x, region.right).indices(len(self._shown[y])))
+                self._shown[y][region.x : region.right] = [None] * len(columns)
+                self._changed.add(y)
 
     def draw(self, update: ChopsUpdate | LayoutUpdate) -> None:
         """Take what Textual has drawn."""

@@ -63,9 +63,11 @@ class ScreenWriter:
         """Write in other colours from now on."""
         self._frames.colours = colours
 
-    def forget(self) -> None:
-        """Note that the terminal may show anything, so that all is written again."""
-        self._frames.forget()
+    def forget(self, region: Region | None = None) -> None:
+        """Note that the terminal may show anything, or does so in a region: it is written again."""
+        self._frames.forget(region)
+        if self._next is None:
+            self._next = self._app.set_timer(_LOOK_EVERY, self.give)
 
     def draw(self, update: ChopsUpdate | LayoutUpdate) -> None:
         """Take what Textual has drawn, and write it as soon as the line allows."""

@@ -15,6 +15,8 @@ import secrets
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, NamedTuple
 
+from textual.geometry import Region
+
 from rsb_extras.pictures.picture_rows import rgb_of
 
 if TYPE_CHECKING:
@@ -45,6 +47,7 @@ class Band(NamedTuple):
     Attributes:
         top: its first row, from the image's upper edge.
         rows: cells in height.
+        columns: cells in width.
         pixels: its content, to be compared.
         sequence: draws it at the cursor.
         image_id: kitty's number of it.
@@ -52,6 +55,7 @@ class Band(NamedTuple):
 
     top: int
     rows: int
+    columns: int
     pixels: bytes
     sequence: str
     image_id: int
@@ -138,7 +142,7 @@ def bands_of(
     sheet = Image.new("RGB", sides, paper)
     sheet.paste(image)
     most = -(-rows // BANDS)
-    known = {(band.top, band.rows, band.pixels): band for band in before}
+    known = {(band.top, band.rows, band.columns, band.pixels): band for band in before}
     used = {band.image_id for band in before}
     bands = []
     for number, top in enumerate(range(0, rows, most)):
@@ -146,7 +150,7 @@ def bands_of(
         upper, lower = (round(row * sheet.height / rows) for row in (top, top + band_rows))
         part = sheet.crop((0, upper, sheet.width, lower))
         content = part.tobytes()
-        band = known.get((top, band_rows, content))
+        band = known.get((top, band_rows, columns, content))
         if band is None:
             # kitty takes the image of a number away as soon as another one of the same number begins to come.
             image_id = next(each for each in (first_id + number, first_id + BANDS + number) if each not in used)
@@ -155,7 +159,7 @@ def bands_of(
                 if protocol == "sixel"
                 else kitty(png(part, few_colours=few_colours), image_id, columns, band_rows)
             )
-            band = Band(top, band_rows, content, way, image_id)
+            band = Band(top, band_rows, columns, content, way, image_id)
         bands.append(band)
     return bands
 
@@ -204,12 +208,14 @@ class Painter:
         self.first_id = secrets.randbelow(1 << 27) * IDS + 1
         self._at = (0, 0)
         self._shown: dict[int, Band] = {}
+        self._overwritten: set[int] = set()
+        """Bands of those shown on which text stands in part."""
         self._is_lost = False
 
     def overwritten(self, rows: Container[int]) -> None:
         """Note that text was drawn over rows of the image; kitty's images stay on it."""
         if self._protocol == "sixel":
-            self._shown = {number: band for number, band in self._shown.items() if not band.is_under(rows)}
+            self._overwritten |= {number for number, band in self._shown.items() if band.is_under(rows)}
 
     def lost(self) -> None:
         """Note that the terminal may have been cleared, or has missed some of what was written."""
@@ -228,16 +234,37 @@ class Painter:
         for number, band in enumerate(bands):
             if not band.is_under(covered):
                 self._shown[number] = band
-                if before.get(number) is not band or self._is_lost:
+                if before.get(number) is not band or self._is_lost or number in self._overwritten:
                     parts.append(f"\x1b[{at[1] + band.top + 1};{at[0] + 1}H{band.sequence}")
         # After the new ones are in sight, so that nothing flickers.
         parts += [self._freed(band) for number, band in before.items() if self._shown.get(number) is not band]
         self._is_lost = False
+        self._overwritten.clear()
         drawn = "".join(parts)
         return f"\x1b7{drawn}\x1b8" if drawn else ""
 
+    def lifted(self, bands: Sequence[Band], at: tuple[int, int], covered: Container[int]) -> list[Region]:
+        """Return where sixels lie that are to go: only text that is drawn over them takes them away.
+
+        Args:
+            bands: that are to be shown instead, as of `painted`.
+        """
+        if self._protocol != "sixel":
+            return []
+        places = {
+            (band.top, band.rows, band.columns) for band in bands if not band.is_under(covered) and at == self._at
+        }
+        gone = {
+            number: band for number, band in self._shown.items() if (band.top, band.rows, band.columns) not in places
+        }
+        for number in gone:
+            del self._shown[number]
+        x, y = self._at
+        # In xterm, an image may reach a pixel into the next column.
+        return [Region(x, y + band.top, band.columns + 1, band.rows) for band in gone.values()]
+
     def taken_away(self) -> str:
-        """Return what takes the image away; sixels go with the text that is drawn over them."""
+        """Return what takes kitty's image away."""
         shown, self._shown = self._shown, {}
         return "".join(map(self._freed, shown.values()))
 

@@ -146,6 +146,9 @@ class PicturePane(Widget, can_focus=True):
             self._losses = self.terminal.losses
             self._painter.lost()
         at = self.content_region.offset
+        if lifted := self._painter.lifted(self._bands, (at.x, at.y), self._covered):
+            self._draw_text(lifted)
+            return
         sequence = self._painter.painted(self._bands, (at.x, at.y), self._covered)
         self.terminal.write_to_terminal(sequence)
         self._owes, self.image_bytes = False, len(sequence) if self._owes else self.image_bytes
@@ -172,7 +175,12 @@ class PicturePane(Widget, can_focus=True):
     def take_image_away(self) -> None:
         self._bands, self._owes = [], False
         if self._painter is not None:
+            self._draw_text(self._painter.lifted((), (0, 0), ()))
             self.terminal.write_to_terminal(self._painter.taken_away())
+
+    def _draw_text(self, regions: Sequence[Region]) -> None:
+        for region in regions:
+            self.terminal.forget(region)
 
     def cover_changed(self) -> object:
         """Called when other rows of an image are covered, which need characters."""

@@ -10,6 +10,7 @@ import re
 import pytest
 from PIL import Image
 from tests.support import surroundings
+from textual.geometry import Region
 
 from rsb_extras.pictures.graphics import BANDS, Painter, bands_of, frame_of, why_no_graphics
 from rsb_extras.pictures.picture import Pixels, Wish
@@ -143,6 +144,23 @@ def test_sixels_under_text_are_drawn_again() -> None:
     painter.lost()
     assert len(_PLACE.findall(painter.painted(bands, (0, 0), ()))) == BANDS
     assert painter.taken_away() == ""
+
+
+def test_text_takes_sixels_away_that_are_to_go() -> None:
+    """No sequence does, and where text and text below them are the same, nothing else would write it."""
+    pixels = noise(160, 320)
+    bands = bands_of(pixels, frame_of(pixels, wish(16, 16)), _CELL, "sixel", 1, PAPER)
+    rows = bands[0].rows
+    painter = Painter("sixel")
+    painter.painted(bands, (4, 3), ())
+    assert painter.lifted(bands, (4, 3), ()) == []
+    painter.overwritten(range(rows))  # by a box, which covers a part of the first band
+    assert painter.lifted(bands, (4, 3), (0,)) == [Region(4, 3, 17, rows)]
+    assert len(painter.lifted(bands, (5, 3), ())) == BANDS - 1
+    assert painter.lifted((), (5, 3), ()) == []
+    kitty = Painter("kitty")
+    kitty.painted(bands, (4, 3), ())
+    assert kitty.lifted((), (4, 3), ()) == []
 
 
 def test_image_at_another_place_is_drawn_anew() -> None:
