@@ -54,9 +54,8 @@ _TRIES, _AGAIN_AFTER = 10, 2.0
 """Presses of Yes, and s until it is pressed again, if it has come too early to count."""
 _PATHS = tuple(product((0.06, 0.2), (0.0, 0.05)))
 """Round trips, s, and parts of the packets that are lost each way."""
-_CURSOR_KEYS, _KEY_SHOWN = 10, 0.2
-"""Keys, and s after which their effect has been written."""
-_DOWN = "\x1b[B"
+_CURSOR_KEYS, _KEY_SHOWN = 10, 0.1
+"""Keys, and s from the first byte of their effect until all of it has been written."""
 
 _MAIN, _HELP, _DISARMED = "/cmd_vel", "Help: every key", "press A to arm it"
 _QUESTION, _ARMED, _MOVES = "Arm /cmd_vel of", "armed, for", "forward +"
@@ -280,12 +279,14 @@ def _peer(name: str, terminal: SlowTerminal) -> None:
     time.sleep(_SETTLES)
     rest, by_key = _received(terminal), []
     for _ in range(_CURSOR_KEYS):
-        received = terminal.received
-        terminal.type(_DOWN)
+        received, began = terminal.received, time.monotonic()
+        terminal.type(terminal.down)
+        while terminal.received == received and time.monotonic() - began < 1.0:
+            time.sleep(0.01)
         time.sleep(_KEY_SHOWN)
-        by_key.append(terminal.received - received - rest * _KEY_SHOWN)
+        by_key.append(terminal.received - received - rest * (time.monotonic() - began))
         time.sleep(1.0)
-    print(f"{name:<24} {rest:>14,.0f} {max(0.0, statistics.median(by_key)):>10,.0f}", flush=True)
+    print(f"{name:<24} {rest:>14,.0f} {max(0.0, statistics.mean(by_key)):>10,.0f}", flush=True)
 
 
 PARTS = {"rest": _rest, "keys": _keys, "mosh": _mosh, "peers": _peers}
