@@ -57,7 +57,7 @@ _PATHS = tuple(product((0.06, 0.2), (0.0, 0.05)))
 _CURSOR_KEYS, _KEY_SHOWN = 10, 0.1
 """Keys, and s from the first byte of their effect until all of it has been written."""
 
-_MAIN, _HELP, _DISARMED = "/cmd_vel", "Help: every key", "press A to arm it"
+_HELP, _DISARMED = "Help: every key", "press A to arm it"
 _QUESTION, _ARMED, _MOVES = "Arm /cmd_vel of", "armed, for", "forward +"
 
 
@@ -66,13 +66,13 @@ class Scene(NamedTuple):
 
     Attributes:
         opens: the keys that open it from the main screen, each with the text that shows their effect.
-        text: a text that it alone shows.
+        last: a text of its last line, which is drawn last.
         drives: the key of the box that drives.
     """
 
     name: str
     opens: tuple[tuple[str, str], ...]
-    text: str
+    last: str = ""
     drives: str = "D"
 
 
@@ -82,10 +82,10 @@ def _layout(name: str, text: str) -> tuple[tuple[str, str], ...]:
 
 _Took = dict[str, list[float]]
 
-MAIN = Scene("main screen", (), _MAIN)
-DRIVE = Scene("drive box, no key", (("D", _DISARMED),), _DISARMED)
-SILENT = Scene("two tiles, no picture", _layout("two-silent", "publisher"), "publisher", "d")
-CAMERA = Scene("camera", _layout("one-camera", "/camera/image_raw"), "/camera/image_raw", "d")
+MAIN = Scene("main screen", (), "? help  q quit")
+DRIVE = Scene("drive box, no key", (("D", _DISARMED),))
+SILENT = Scene("two tiles, no picture", _layout("two-silent", "publisher"))
+CAMERA = Scene("camera", _layout("one-camera", "/camera/image_raw"), " d drive ", "d")
 RESTING = (
     *((kind, scene, rate) for kind in ("24bit", "256", "vt220") for scene in (MAIN, DRIVE) for rate in (4.0, 0.5)),
     *((kind, scene, 4.0) for kind in ("24bit", "256", "vt220") for scene in (SILENT, CAMERA)),
@@ -185,8 +185,8 @@ def _press_all(terminal: SlowTerminal, scene: Scene, within: float, rate: float 
 
     _open(terminal, scene)
     try:
-        press("?", _has(_HELP))
-        press("q", _has(scene.text, without=_HELP))
+        press("?", _has(_HELP, without=scene.last))
+        press("q", _has(scene.last, without=_HELP))
         press(scene.drives, _has(_DISARMED))
         press("A", _has(_QUESTION))
         _agree(terminal)
@@ -336,7 +336,7 @@ def _row(about: Sequence[str], cells: Sequence[str], figures: Sequence[float]) -
     names = "".join(f"{each:<{22 if number else 12}}" for number, each in enumerate(about))
     ratio = ""
     if len(figures) > 1 and figures[0]:
-        ratio = f"{'never' if figures[1] == NEVER else f'{figures[1] / figures[0]:.1f}×':>10}"
+        ratio = f"{'never' if figures[1] == NEVER else f'{figures[1] / figures[0]:.2g}×':>10}"
     print(names + "".join(f"{each:>16}" for each in cells) + ratio, flush=True)
 
 
