@@ -51,7 +51,7 @@ _SETTLES = 3.0
 _FULL_AFTER, _QUIET_AFTER = 6.0, 1.0
 """s before a key, with a limit and without: what is written into a full line waits by then."""
 _TRIES, _AGAIN_AFTER = 10, 2.0
-"""Presses of Yes, and s until it is pressed again, if it has come too early to count."""
+"""Presses of a key that may come too early to count, and s until the next one."""
 _PATHS = tuple(product((0.06, 0.2), (0.0, 0.05)))
 """Round trips, s, and parts of the packets that are lost each way."""
 _CURSOR_KEYS, _KEY_SHOWN = 10, 0.1
@@ -300,10 +300,19 @@ def _console(side: Side, kind: str, rate: float = 4.0) -> SlowTerminal:
 
 
 def _open(terminal: SlowTerminal, scene: Scene) -> None:
-    terminal.until(_has("DISARMED", "/cmd_vel"))  # under the cursor, as the worst state is the first
+    terminal.until(_has("DISARMED", "/cmd_vel"))
+    for _ in range(_TRIES):
+        terminal.type("g")  # the first row, which has the worst state
+        if terminal.shows(_is_selected, _AGAIN_AFTER):
+            break
     for keys, text in scene.opens:
         terminal.type(keys)
         terminal.until(_has(text))
+
+
+def _is_selected(lines: Sequence[str]) -> bool:
+    """Return whether the cursor, a sign in the first column, is at the topic that is driven."""
+    return any(line[0] != " " and "DISARMED" in line and "/cmd_vel" in line for line in lines)
 
 
 def _has(*texts: str, without: str = "\0") -> Shows:
