@@ -51,14 +51,13 @@ _SETTLES = 3.0
 _FULL_AFTER, _QUIET_AFTER = 6.0, 1.0
 """s before a key, with a limit and without: what is written into a full line waits by then."""
 _TRIES, _AGAIN_AFTER = 10, 2.0
-"""Presses of Yes, and s until it is pressed again, if it has come too early to count."""
+"""Presses of a key that may come too early to count, and s until the next one."""
 _PATHS = tuple(product((0.06, 0.2), (0.0, 0.05)))
 """Round trips, s, and parts of the packets that are lost each way."""
-_CURSOR_KEYS, _KEY_SHOWN = 10, 0.2
-"""Keys, and s after which their effect has been written."""
-_DOWN = "\x1b[B"
+_CURSOR_KEYS, _KEY_SHOWN = 10, 0.1
+"""Keys, and s from the first byte of their effect until all of it has been written."""
 
-_MAIN, _HELP, _DISARMED = "/cmd_vel", "Help: every key", "press A to arm it"
+_HELP, _DISARMED = "Help: every key", "press A to arm it"
 _QUESTION, _ARMED, _MOVES = "Arm /cmd_vel of", "armed, for", "forward +"
 
 
@@ -67,13 +66,13 @@ class Scene(NamedTuple):
 
     Attributes:
         opens: the keys that open it from the main screen, each with the text that shows their effect.
-        text: a text that it alone shows.
+        last: a text of its last line, which is drawn last.
         drives: the key of the box that drives.
     """
 
     name: str
     opens: tuple[tuple[str, str], ...]
-    text: str
+    last: str = ""
     drives: str = "D"
 
 
@@ -83,10 +82,10 @@ def _layout(name: str, text: str) -> tuple[tuple[str, str], ...]:
 
 _Took = dict[str, list[float]]
 
-MAIN = Scene("main screen", (), _MAIN)
-DRIVE = Scene("drive box, no key", (("D", _DISARMED),), _DISARMED)
-SILENT = Scene("two tiles, no picture", _layout("two-silent", "publisher"), "publisher", "d")
-CAMERA = Scene("camera", _layout("one-camera", "/camera/image_raw"), "/camera/image_raw", "d")
+MAIN = Scene("main screen", (), "? help  q quit")
+DRIVE = Scene("drive box, no key", (("D", _DISARMED),))
+SILENT = Scene("two tiles, no picture", _layout("two-silent", "publisher"))
+CAMERA = Scene("camera", _layout("one-camera", "/camera/image_raw"), " d drive ", "d")
 RESTING = (
     *((kind, scene, rate) for kind in ("24bit", "256", "vt220") for scene in (MAIN, DRIVE) for rate in (4.0, 0.5)),
     *((kind, scene, 4.0) for kind in ("24bit", "256", "vt220") for scene in (SILENT, CAMERA)),
@@ -186,8 +185,8 @@ def _press_all(terminal: SlowTerminal, scene: Scene, within: float, rate: float 
 
     _open(terminal, scene)
     try:
-        press("?", _has(_HELP))
-        press("q", _has(scene.text, without=_HELP))
+        press("?", _has(_HELP, without=scene.last))
+        press("q", _has(scene.last, without=_HELP))
         press(scene.drives, _has(_DISARMED))
         press("A", _has(_QUESTION))
         _agree(terminal)
@@ -280,12 +279,14 @@ def _peer(name: str, terminal: SlowTerminal) -> None:
     time.sleep(_SETTLES)
     rest, by_key = _received(terminal), []
     for _ in range(_CURSOR_KEYS):
-        received = terminal.received
-        terminal.type(_DOWN)
+        received, began = terminal.received, time.monotonic()
+        terminal.type(terminal.down)
+        while terminal.received == received and time.monotonic() - began < 1.0:
+            time.sleep(0.01)
         time.sleep(_KEY_SHOWN)
-        by_key.append(terminal.received - received - rest * _KEY_SHOWN)
+        by_key.append(terminal.received - received - rest * (time.monotonic() - began))
         time.sleep(1.0)
-    print(f"{name:<24} {rest:>14,.0f} {max(0.0, statistics.median(by_key)):>10,.0f}", flush=True)
+    print(f"{name:<24} {rest:>14,.0f} {max(0.0, statistics.mean(by_key)):>10,.0f}", flush=True)
 
 
 PARTS = {"rest": _rest, "keys": _keys, "mosh": _mosh, "peers": _peers}
@@ -299,10 +300,19 @@ def _console(side: Side, kind: str, rate: float = 4.0) -> SlowTerminal:
 
 
 def _open(terminal: SlowTerminal, scene: Scene) -> None:
-    terminal.until(_has("DISARMED", "/cmd_vel"))  # under the cursor, as the worst state is the first
+    terminal.until(_has("DISARMED", "/cmd_vel"))
+    for _ in range(_TRIES):
+        terminal.type("g")  # the first row, which has the worst state
+        if terminal.shows(_is_selected, _AGAIN_AFTER):
+            break
     for keys, text in scene.opens:
         terminal.type(keys)
         terminal.until(_has(text))
+
+
+def _is_selected(lines: Sequence[str]) -> bool:
+    """Return whether the cursor, a sign in the first column, is at the topic that is driven."""
+    return any(line[0] != " " and "DISARMED" in line and "/cmd_vel" in line for line in lines)
 
 
 def _has(*texts: str, without: str = "\0") -> Shows:
@@ -335,7 +345,7 @@ def _row(about: Sequence[str], cells: Sequence[str], figures: Sequence[float]) -
     names = "".join(f"{each:<{22 if number else 12}}" for number, each in enumerate(about))
     ratio = ""
     if len(figures) > 1 and figures[0]:
-        ratio = f"{'never' if figures[1] == NEVER else f'{figures[1] / figures[0]:.1f}×':>10}"
+        ratio = f"{'never' if figures[1] == NEVER else f'{figures[1] / figures[0]:.2g}×':>10}"
     print(names + "".join(f"{each:>16}" for each in cells) + ratio, flush=True)
 
 

@@ -31,6 +31,8 @@ _SAVED = 0.1
 """s of the line that a reader without a processor makes up for."""
 _REPEATS_AFTER, _REPEATS_EVERY = 0.4, 0.033
 """s of a key that is held, as usual keyboards send it."""
+_CURSOR_MODE = 1 << 5
+"""DECCKM, as pyte notes private modes."""
 _PIECE = re.compile(
     rb"\x1b\[[0-?]*[ -/]*[@-~]"
     rb"|\x1b\][^\x07\x1b]*(?:\x07|\x1b\\)"
@@ -125,6 +127,11 @@ class SlowTerminal:
         """The lines that the terminal shows."""
         with self._lock:
             return list(self._screen.display)
+
+    @property
+    def down(self) -> str:
+        """The cursor key, as the program has asked for it."""
+        return "\x1bOB" if _CURSOR_MODE in self._screen.mode else "\x1b[B"
 
     def type(self, keys: str) -> None:
         self._terminal.type(keys)
