@@ -316,3 +316,15 @@ async def data_connections_break(world: World, times: int) -> None:
                 each.reset()
                 await asyncio.sleep(0.1)
         await asyncio.sleep(20.0)
+
+
+async def path_is_cut(world: World, times: int) -> None:
+    """Cut the path for shorter and longer than a silent connection lives."""
+    (robot,), random = world.robots, world.random("cuts")
+    ends = robot.host.machine, world.server.machine
+    for _ in range(times):
+        with world.trouble("the path is cut", robot):
+            world.network.cut(*ends)
+            await asyncio.sleep(random.uniform(0.3, 12.0))
+            world.network.heal(*ends)
+        await asyncio.sleep(random.uniform(8.0, 16.0))

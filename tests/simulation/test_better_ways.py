@@ -32,9 +32,13 @@ def two_ways(yard: Yard) -> Yard:
     return yard
 
 
+@pytest.mark.parametrize("is_lost", [False, True])
 @pytest.mark.bed(Topic("/chat", "transmit"), outlive=60.0)
-async def test_what_the_old_connection_acknowledges_ends_nothing(yard: Yard, two_ways: Yard) -> None:
-    """The server answers on the better way, then handles one more message, and says so on the old one first."""
+async def test_what_the_old_connection_acknowledges_ends_nothing(yard: Yard, two_ways: Yard, is_lost: bool) -> None:
+    """The server answers on the better way, then handles one more message, and says so on the old one first.
+
+    The old one may be lost before the answer comes.
+    """
     yard.publish("/chat")
     link, far = yard.link(), yard.link(on_server=True)
     path = yard.world.network.path(yard.server.machine, yard.robot.machine)
@@ -54,11 +58,15 @@ async def test_what_the_old_connection_acknowledges_ends_nothing(yard: Yard, two
     session = link.session.id
     with patch.object(Server, "_welcome", answer):
         yard.world.network.names[SERVER_NAME] = [SERVER_ADDRESS]
+        await until(lambda: answers, 60.0)
+        if is_lost:
+            await asyncio.sleep(_SLOW / 2)
+            link.channels.control.abort("reset")
         await until(lambda: link.connections > 1, 60.0)
-    assert answers[0].handled < far.handled
     await asyncio.sleep(10.0)
     assert link.session is not None
     assert link.session.id == session
+    assert answers[0].handled < answers[1].handled
     assert (link.connections, far.connections) == (2, 2)
     assert EventCode.ENGINE_ERROR not in {*yard.codes(), *yard.codes(on_server=True)}
 

@@ -11,7 +11,7 @@ import msgspec
 import pytest
 from tests.simulation.beds import until
 from tests.simulation.conditions import ACTIONS, CALLS, KEEPING, LIVELY, STILL, STORM
-from tests.simulation.episodes import connections_forgotten, data_connections_break, delayed, tunnelled
+from tests.simulation.episodes import connections_forgotten, data_connections_break, delayed, path_is_cut, tunnelled
 from tests.simulation.world import Violation, World
 from tests.support.long import long
 
@@ -110,8 +110,11 @@ async def test_connection_lost_as_datagrams_pass(yard: Yard) -> None:
 
 
 @pytest.mark.parametrize("seed", [1, *long(2, 3, 4)])
-def test_kept_topics_outlive_both_data_connections(seed: int) -> None:
-    """The control connection stays, and nothing that was in transit is lost."""
+@pytest.mark.parametrize("break_them", [data_connections_break, path_is_cut])
+def test_kept_topics_outlive_connections(
+    break_them: Callable[[World, int], Coroutine[None, None, None]], seed: int
+) -> None:
+    """Nothing that was in transit, or came meanwhile, is lost; the control connection stays, or is cut off, too."""
     world = World(seed, replace(STILL, outlive=60.0, topics=(0,)))
     (robot,) = world.robots
     topics = Topic("/up", "transmit", qos=10, keep=60.0), Topic("/down", "receive", qos=10, keep=60.0)
@@ -131,7 +134,7 @@ def test_kept_topics_outlive_both_data_connections(seed: int) -> None:
         for flow in robot.topic_flows:
             heard[str(flow)] = -flow.heard
             flow.appear()
-        await data_connections_break(world, 4)
+        await break_them(world, 4)
         for flow in robot.topic_flows:
             flow.vanish()
         await asyncio.sleep(5.0)
@@ -144,7 +147,7 @@ def test_kept_topics_outlive_both_data_connections(seed: int) -> None:
             world.play(180.0, course())
         except Violation as violation:
             pytest.fail(str(violation), pytrace=False)
-    assert not suspended.called
+    assert suspended.called is (break_them is path_is_cut)
     for name, count in sent.items():
         assert count > 1000
         assert count - 1 <= heard[name] <= count  # DDS may not know the writer yet when it publishes its first

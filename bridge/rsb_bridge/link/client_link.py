@@ -226,8 +226,10 @@ class ClientLink(Link):
         """Connect to the server, or to the announced one that proves the key. Return the failure, if any."""
         secret, began = key.secret if key else None, self.context.now()
         hello = msgspec.structs.replace(self._hello, outlive=self.own_outlive)
+        acknowledged = 0
         if self.session is not None:
             hello = msgspec.structs.replace(hello, session=self.session.id, handled=self.handled)
+            acknowledged = self.session.acknowledged
 
         def begin(suite: CipherSuite | None) -> ClientConnection:
             return ClientConnection(hello, secret, suite or self._suite, multiplexed=self.transport.multiplexed)
@@ -241,8 +243,10 @@ class ClientLink(Link):
             session = (b"", 0) if self.session is None else (self.session.id, self.session.handled)
             if is_alive or session != (hello.session, hello.handled):
                 return False
-            # Without a connection, a wrong number is a breach of the protocol.
-            return not self.linked or self.session is None or self.session.could_resume(event)
+            # Where nothing was acknowledged meanwhile, a wrong number is a breach of the protocol.
+            if self.session is None or self.session.acknowledged == acknowledged:
+                return True
+            return self.session.could_resume(event)
 
         if key is not None:  # without a key nothing proves a server: the transport connects to the only one, or refuses
             try:

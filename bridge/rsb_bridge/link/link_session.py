@@ -52,6 +52,7 @@ class LinkSession:
     Attributes:
         channels: of the present connection, or of the last one while it is suspended.
         handled: messages of the peer that this side has handled to their end.
+        acknowledged: messages of this side that the peer has said it has handled.
         is_over: whether more waited than may: it ends with its connection, which ends, too.
     """
 
@@ -61,7 +62,7 @@ class LinkSession:
         self.channels = channels
         self.handled = 0
         self.is_over = False
-        self._acknowledged = 0
+        self.acknowledged = 0
         self._waiting: deque[UnhandledMessage] = deque()
         self._bytes = 0  # of these
         self._ends: asyncio.TimerHandle | None = None
@@ -126,13 +127,13 @@ class LinkSession:
 
     def could_have_handled(self, count: int) -> bool:
         """Whether a peer may have handled the first `count` messages, and no message that it lacks is gone."""
-        return not self.is_over and 0 <= count - self._acknowledged <= len(self._waiting)
+        return not self.is_over and 0 <= count - self.acknowledged <= len(self._waiting)
 
     def _could_go_on_from(self, count: int) -> bool:
         """Whether a peer may resume that has handled the first `count` messages: it has used no later proposal."""
         if not self.could_have_handled(count):
             return False
-        lacking = islice(self._waiting, count - self._acknowledged, None)
+        lacking = islice(self._waiting, count - self.acknowledged, None)
         return not any(each.proposes and self.channels.is_accepted(each.proposes) for each in lacking)
 
     def take_up(self, count: int) -> None:
@@ -156,6 +157,6 @@ class LinkSession:
             return
         if not self.could_have_handled(count):
             raise ProtocolError(Broken.HANDLED_WRONG(count=count))
-        for _ in range(count - self._acknowledged):
+        for _ in range(count - self.acknowledged):
             self._bytes -= len(self._waiting.popleft().content)
-        self._acknowledged = count
+        self.acknowledged = count
