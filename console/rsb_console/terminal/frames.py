@@ -107,7 +107,7 @@ class Frames:
             blank = Cell(" ", Look("", "", _OWN_PAPER))
             self._wanted = [[blank] * size.width for _ in range(size.height)]
             self._shown = [[None] * size.width for _ in range(size.height)]
-            self._changed.clear()
+            self._changed = set(range(size.height))
 
     def forget(self, region: Region | None = None) -> None:
         """Note that the terminal may show anything, or does so in a region."""
