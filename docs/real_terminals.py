@@ -189,7 +189,7 @@ class Camera:
             found = when()
             if not (await found if not isinstance(found, bool) else found):
                 return False
-            if not self._app.takes_pictures:
+            if not self._app.writer.is_free:
                 return False
             before, picture = await asyncio.to_thread(window), await asyncio.to_thread(window)
             # An image that has just been replaced in part is none.

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from rsb_console.notation.formats import Row
     from rsb_console.preferences import Preferences, Setting
     from rsb_console.session.changes import Changes
+    from rsb_console.terminal.input_queue import Sight
 
 T = TypeVar("T")
 
@@ -44,7 +45,7 @@ class ConsoleShell(Protocol):
         preferences: the user's themes and keys.
         config: the folder that those are in.
         terminal: file descriptor of the terminal.
-        late: s by which the terminal's picture is older than the screen.
+        writer: tells what the terminal has of the screen.
     """
 
     preferences: Preferences
@@ -53,7 +54,7 @@ class ConsoleShell(Protocol):
     refresh_rate: float
 
     @property
-    def late(self) -> float: ...
+    def writer(self) -> Sight: ...
 
     @property
     def readonly(self) -> bool:

@@ -42,9 +42,8 @@ from rsb_console.screens.help import ActionsProvider
 from rsb_console.terminal import desktop_notification
 from rsb_console.terminal.driver import ConsoleDriver
 from rsb_console.terminal.input_queue import InputGate, InputQueue, is_guarded
-from rsb_console.terminal.line import Line
 from rsb_console.terminal.pulse import ASKED_EVERY
-from rsb_console.terminal.screen_writer import ScreenWriter
+from rsb_console.terminal.screen_writer import NoTerminal, ScreenWriter
 from rsb_console.terminal.terminal_facts import facts_before_answers
 from rsb_console.widgets.lines import LOOK_CLASSES
 
@@ -53,7 +52,6 @@ if TYPE_CHECKING:
 
     from rich.console import RenderableType
     from textual.filter import LineFilter
-    from textual.geometry import Region
     from textual.screen import Screen
     from textual.widget import Widget
 
@@ -61,8 +59,6 @@ if TYPE_CHECKING:
     from rsb_console.terminal.terminal_facts import TerminalFacts
 
 T = TypeVar("T")
-_NO_LINE = Line(rate=float("inf"))
-"""Without a terminal, as in tests."""
 _ENDS_WITHIN = 10.0
 """s. A round figure: with much less, a busy machine would leave the terminal as the app has it."""
 
@@ -97,7 +93,7 @@ class TerminalApp(App[ReturnType]):
         text_drawn: published when text was written: for each part of a line the row, the first column, and the column
             behind the last one.
         pictures: widgets whose content is written after all else.
-        writer: writes the screen to the terminal, or None without a terminal.
+        writer: writes the screen to the terminal.
     """
 
     TITLE = "rsb-console"
@@ -131,7 +127,7 @@ class TerminalApp(App[ReturnType]):
         self.input_queue = InputQueue(self, dialogs)
         self.input_gate = InputGate(self)
         self.text_drawn: Signal[Sequence[tuple[int, int, int]]] = Signal(self, "text-drawn")
-        self.writer: ScreenWriter | None = None
+        self.writer: ScreenWriter | NoTerminal = NoTerminal()
         self.pictures: set[Widget] = set()
         self._forced_end: threading.Timer | None = None
         self._line_filters: list[LineFilter] = [ControlFilter(), *([AsciiFilter()] if ascii_only else [])]
@@ -182,7 +178,7 @@ class TerminalApp(App[ReturnType]):
 
     async def on_event(self, event: events.Event) -> None:
         """Handle an event as Textual does, but input only when it is its turn."""
-        if isinstance(event, events.Resize) and self.writer is not None:
+        if isinstance(event, events.Resize):
             self.writer.forget()
         # The queue comes first: until an event's turn, another screen may be on top, which takes late keys or does not.
         if self.input_queue.takes(event):
@@ -199,7 +195,7 @@ class TerminalApp(App[ReturnType]):
                 region = renderable.region
                 self.text_drawn.publish([(y, region.x, region.right) for y in region.line_range])
         elif self._running and not self._closed and not self._batch_count:
-            if self.writer is None:
+            if isinstance(self.writer, NoTerminal):
                 self.writer = self.input_gate.sight = ScreenWriter(
                     self, self._driver, self._colour_system, self.pictures, self.text_drawn.publish
                 )
@@ -208,36 +204,14 @@ class TerminalApp(App[ReturnType]):
     # --- the terminal
 
     @property
-    def late(self) -> float:
-        """Seconds by which the terminal's picture is older than the screen, as far as is known."""
-        return 0.0 if self.writer is None else self.writer.late
-
-    @property
-    def takes_pictures(self) -> bool:
-        """Whether the terminal has all text, so that pictures in pixels may be written."""
-        return self.writer is None or self.writer.is_free
-
-    @property
     def losses(self) -> int:
         """Number of times that the terminal was cleared."""
         return self._driver.losses if isinstance(self._driver, ConsoleDriver) else 0
-
-    def forget(self, region: Region) -> None:
-        """Have a region of the screen written again, as pixels stand there."""
-        if self.writer is not None:
-            self.writer.forget(region)
 
     def write_to_terminal(self, sequence: str) -> None:
         """Write what Textual does not know of, such as an image. It has to leave cursor and colours as they were."""
         if sequence and isinstance(self._driver, ConsoleDriver):
             self._driver.write(sequence)
-
-    @property
-    def line(self) -> Line:
-        """What is under way to the terminal."""
-        return self._driver.line if isinstance(self._driver, ConsoleDriver) else _NO_LINE
-
-    # --- what screens ask
 
     def tell_problems(self) -> None:
         """Tell what is wrong with the preferences."""
@@ -330,8 +304,7 @@ class TerminalApp(App[ReturnType]):
         """Have Textual write the colours that the terminal has: rich finds them out by TERM, and once."""
         if self.console.color_system is not None and self.facts.colours:
             vars(self.console)["_color_system"] = COLOR_SYSTEMS[self.facts.colour_system]  # no public way is there
-            if self.writer is not None:
-                self.writer.use_colours(self._colour_system)
+            self.writer.use_colours(self._colour_system)
 
     @property
     def _colour_system(self) -> ColorSystem:

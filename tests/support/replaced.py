@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from tests.support.places import Place
 
-NO_LINE = Place("rsb_console.terminal_app", "_NO_LINE")
+NO_LINE = Place("rsb_console.terminal.screen_writer", "NoTerminal.line")
 FALLBACK_FOLDER = Place("rsb_bridge.control.control_sockets", "_fallback_folder")
 FOLDER_PROBLEM = Place("rsb_bridge.control.control_sockets", "_folder_problem")
 ATTACHED_SEND = Place("rsb_bridge.control.remote_engine", "RemoteEngine._send_request")

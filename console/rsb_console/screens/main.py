@@ -70,7 +70,8 @@ class Explanations:
         if not note and engine is not None and engine.unreachable:
             note = f"✗ NOT ATTACHED: {engine.unreachable}"
         attached = bool(console.attached_to)
-        late = MainText.LATE(late=max(1.0, console.late), key=self.key("slower")) if console.late > SEEN_AFTER else ""
+        seconds = console.writer.late
+        late = MainText.LATE(late=max(1.0, seconds), key=self.key("slower")) if seconds > SEEN_AFTER else ""
         rate, readonly = console.refresh_rate, console.readonly
         return BarState(session, rate, frozen_since, readonly, note, way_on, attached=attached, late=late)
 

@@ -14,6 +14,7 @@ from textual.widgets import Input, TextArea
 from textual.widgets._toast import ToastRack
 
 from rsb_console.terminal.frames import LAST, Frames
+from rsb_console.terminal.line import Line
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Sequence
@@ -33,8 +34,31 @@ _HEADER: Final = 2
 """Rows at the top, which tell whether something is armed and how late the line is."""
 
 
+class NoTerminal:
+    """In the place of a writer where no terminal is, as in tests.
+
+    Attributes:
+        line: carries all.
+    """
+
+    late, is_free, line = 0.0, True, Line(rate=float("inf"))
+
+    def use_colours(self, colours: ColorSystem) -> None:
+        """Do nothing."""
+
+    def forget(self, region: Region | None = None) -> None:
+        """Do nothing."""
+
+    def has(self, region: Region) -> bool:
+        """Whether the terminal has a region: nothing waits."""
+        return True
+
+
 class ScreenWriter:
     """Writes the screen of one app to its terminal.
+
+    Attributes:
+        line: what is under way to it.
 
     Args:
         pictures: widgets whose content comes after all else.
@@ -50,7 +74,7 @@ class ScreenWriter:
         written: Callable[[Sequence[tuple[int, int, int]]], None],
     ) -> None:
         self._app = app
-        self._driver = driver
+        self._driver, self.line = driver, driver.line
         self._pictures = pictures
         self._written = written
         self._frames = Frames(colours)

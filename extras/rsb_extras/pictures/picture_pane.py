@@ -139,7 +139,7 @@ class PicturePane(Widget, can_focus=True):
         """Send what the terminal lacks of the image, but nothing on boxes: Textual would not draw them again."""
         if self._painter is None or not self._bands or not self.is_attached:
             return
-        if not self.terminal.takes_pictures:
+        if not self.terminal.writer.is_free:
             return  # it is called again in a moment
         before, self._covered = self._covered, self._rows_under_boxes()
         if self._losses != self.terminal.losses:
@@ -169,7 +169,7 @@ class PicturePane(Widget, can_focus=True):
         """Wait until the terminal has the picture, but not for long."""
         for _try in range(_TRIES):
             await asyncio.sleep(_LOOK_EVERY)
-            if not self._owes and self.terminal.takes_pictures:
+            if not self._owes and self.terminal.writer.is_free:
                 return
 
     def take_image_away(self) -> None:
@@ -180,7 +180,7 @@ class PicturePane(Widget, can_focus=True):
 
     def _draw_text(self, regions: Sequence[Region]) -> None:
         for region in regions:
-            self.terminal.forget(region)
+            self.terminal.writer.forget(region)
 
     def cover_changed(self) -> object:
         """Called when other rows of an image are covered, which need characters."""

@@ -260,7 +260,7 @@ class PictureTile(Tile):
 
     def _spare(self) -> None:
         """Draw fewer pixels, and at last characters, for a line that takes long for an image; or more again."""
-        before, seconds = self._strain, self.image_bytes / self.terminal.line.rate
+        before, seconds = self._strain, self.image_bytes / self.terminal.writer.line.rate
         finer = seconds * (4 if self._shows_pixels else 1)
         if self._shows_pixels and seconds > _SLOW:
             self._strain += 1
@@ -368,13 +368,15 @@ class PictureTile(Tile):
         side = other_side(self.console.snapshot().role, where) if where else "this side"
         picture, parts = self._viewed.picture, [self._reasons()]
         if self._viewed.age is not None:
-            age = self._viewed.age + time.monotonic() - self._came + self.terminal.late
+            age = self._viewed.age + time.monotonic() - self._came + self.terminal.writer.late
             parts.append(ViewText.OLD(age=formats.age(age)))
         return [
             *parts,
             *picture.notes,
             formats.byte_rate(self.cost) if where else "",
-            ViewText.TO_TERMINAL(rate=formats.byte_rate(sent)) if (sent := self.terminal.line.per_second) else "",
+            ViewText.TO_TERMINAL(rate=formats.byte_rate(sent))
+            if (sent := self.terminal.writer.line.per_second)
+            else "",
             ViewText.SIDE(side=side),
             f"at most {self._wish.rate:g} Hz",
             self._how_shown if isinstance(picture.content, Pixels) else "",
