@@ -10,7 +10,7 @@ A robot and a desk are simulated in two ROS domains, a bridge of two processes s
   of ``--peer NAME=COMMAND``.
 
 ``--other FOLDER`` measures another checkout by turns, with the Python of its ``.venv`` if it has one, and prints how
-many times as much it takes. It needs `pyte` (``pip install pyte``).
+many times as much it takes.
 """
 
 from __future__ import annotations

@@ -70,12 +70,12 @@ class Terminal:
     def type(self, text: str | bytes) -> None:
         os.write(self.fd, text.encode() if isinstance(text, str) else text)
 
-    def read(self, seconds: float) -> None:
-        """Take what it writes."""
+    def read(self, seconds: float, most: int = 65536) -> None:
+        """Take what it writes, of some bytes at most."""
         ready, _, _ = select.select([self.fd], [], [], seconds)
         if ready:
             try:
-                self.output += os.read(self.fd, 65536)
+                self.output += os.read(self.fd, most)
             except OSError:  # it has closed its end
                 time.sleep(min(seconds, 0.05))
 

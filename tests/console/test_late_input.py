@@ -34,6 +34,7 @@ from rsb_console.terminal.pulse import (
 )
 
 if TYPE_CHECKING:
+    from textual.geometry import Region
     from textual.message import Message
     from textual.pilot import Pilot
 
@@ -420,6 +421,43 @@ def test_guarded_screen_takes_young_and_safe_keys() -> None:
     assert gate.refuses(paste, screen)
     for harmless in (GuardedScreen.__mro__[1](), ConfirmScreen("Attach?", "", "Attach", Effect.HARMLESS)):
         assert not gate.refuses(key("y", 0.0), harmless)
+
+
+class Seen:
+    """What a terminal has of the screen."""
+
+    def __init__(self, late: float) -> None:
+        self.late, self.shown = late, False
+
+    def has(self, region: Region) -> bool:
+        return self.shown
+
+
+def test_no_key_moves_anything_while_what_is_seen_is_late_and_unproven() -> None:
+    """A terminal that answers proves both; where nothing does, what waits for the line is all that is known."""
+    clock = Time()
+    gate, screen = gate_of(clock), ConfirmScreen("Arm?", "", "Arm", Effect.MOVES)
+    screen.drawn_at, clock.now = 99.0, 101.0
+    gate.sight = seen = Seen(SEEN_AFTER + 0.1)
+    assert not gate.refuses(key("y", clock.now, clock.now), screen)  # after an answer
+    assert gate.refuses(key("y", float("inf"), clock.now), screen)
+    assert not gate.refuses(key("n", float("inf"), clock.now), screen)  # which is safe
+    seen.late = 0.1
+    assert not gate.refuses(key("y", float("inf"), clock.now), screen)
+
+
+@on_main()
+async def test_question_counts_as_seen_once_terminal_has_it(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    clock = Time()
+    app.input_gate.pulse = Pulse({}, clock)
+    app.input_gate.sight = seen = Seen(0.0)
+    question = ConfirmScreen("Move the arm?", "It moves.", "Move", Effect.MOVES)
+    app.push_screen(question)
+    await shown(pilot, "Move the arm?")
+    await pilot.pause(0.3)
+    assert question.drawn_at is None
+    seen.shown = True
+    await until(pilot, lambda: question.drawn_at is not None, "drawn")
 
 
 @on_main()

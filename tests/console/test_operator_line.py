@@ -119,6 +119,18 @@ def test_line_that_becomes_faster_is_used() -> None:
     assert carried > 60_000
 
 
+def test_terminal_that_answers_no_longer_is_one_without_answers() -> None:
+    """As where dtach is attached from another one."""
+    way = Way(10_000)
+    way.play(5.0, 5_000)
+    way.answers = False
+    way.play(40.0, 5_000)
+    assert not way.line.answers
+    assert way.line.late < 1.0
+    carried, _ = way.play(10.0, 5_000)
+    assert carried > 4_000
+
+
 def test_bytes_a_second_are_those_of_some_seconds() -> None:
     way = Way(10_000)
     way.play(20.0, 1_000)

@@ -276,6 +276,28 @@ def test_stuck_terminal_stalls_neither_bridge_nor_end(pair: Pair, tmp_path: Path
         assert terminal.exit_code(read=False) == 0
 
 
+def test_key_has_its_effect_on_slow_line_before_all_that_would_wait(pair: Pair) -> None:
+    """Counted in bytes, as a machine may be slow, too: with all frames in a queue, 200,000 come first."""
+    with console(pair) as terminal:
+        terminal.wait_for(" quit")
+
+        def read_slowly(seconds: float) -> None:
+            until = time.monotonic() + seconds
+            while time.monotonic() < until:
+                terminal.read(0.0, most=100)
+                time.sleep(0.05)
+
+        for step in range(20):  # each draws the whole screen
+            terminal.resize(100 + step % 2, 30)
+            read_slowly(0.1)
+        read_slowly(3.0)
+        mark = len(terminal.output)
+        terminal.type("?")
+        while b"Next line" not in terminal.output[mark:]:
+            read_slowly(0.5)
+            assert len(terminal.output) - mark < 40_000
+
+
 def test_last_frame_comes_once_terminal_reads() -> None:
     """Nothing on the screen changes by itself, so no other frame brings what this one had."""
     with Terminal("tests.console.scripted_console", "--empty", size=(100, 30), forked=True) as terminal:

@@ -40,6 +40,8 @@ _ASKED_AFTER: Final = 1.0
 """s after which a small frame is followed by a question, too."""
 _SECONDS: Final = 5
 """s over which `Line.per_second` is measured, if something is written in each."""
+_GIVEN_UP_AFTER: Final = 30.0
+"""s after which an answer that has not come will not: another terminal may be there, which gives none. As for keys."""
 _EMPTIED_EVERY: Final = 20.0
 """s after which a line that is in full use is let run empty, for as long as a round trip. A round figure."""
 _FASTER, _FASTER_AFTER, _AGAIN_AFTER = 1.1, 2.0, 30.0
@@ -208,6 +210,9 @@ class Line:
         with self._lock:
             if self.late <= (0.0 if self._is_to_empty else _NEXT_AFTER) and not (self._is_to_empty and self._asked):
                 return True
+            if self._overdue > _GIVEN_UP_AFTER:
+                self._asked.clear()
+                self._trip = None
             if self._full_since is None:
                 self._full_since = self._at
             elif not self.answers and self._at - self._full_since > (_AGAIN_AFTER if self._kernels else _FASTER_AFTER):
