@@ -119,7 +119,8 @@ def test_version_loads_neither_arguments_nor_features(arguments: tuple[str, ...]
     assert version.startswith("rsb-console ")
     loaded = set(modules.split())
     own = {each for each in loaded if each.startswith("rsb_") and each.count(".") > 1}
-    assert own == {"rsb_console.command.shell", *(f"rsb_bridge.model.{each}" for each in ("limits", "text", "wording"))}
+    of_console = "rsb_console.command.shell", "rsb_console.notation.ascii_signs"
+    assert own == {*of_console, *(f"rsb_bridge.model.{each}" for each in ("limits", "text", "wording"))}
     assert not {"argparse", "msgspec", "rsb_bridge.feature"} & loaded
 
 

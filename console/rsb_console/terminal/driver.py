@@ -24,8 +24,8 @@ from textual.screen import Screen
 
 from rsb_bridge.config.files import make_folder, owner_only
 from rsb_console.terminal import terminal_facts
-from rsb_console.terminal.line import Line, rate_of
 from rsb_console.terminal.pulse import ASKED_EVERY, KIND, WHO_ARE_YOU, Pulse, without_answers
+from rsb_console.terminal.terminal_line import TerminalLine, rate_of
 from rsb_console.terminal.tmux import tmux
 
 if TYPE_CHECKING:
@@ -193,7 +193,7 @@ class TerminalFile:
         texts: number of texts that were written.
     """
 
-    def __init__(self, fd: int, gone: Callable[[], None], line: Line) -> None:
+    def __init__(self, fd: int, gone: Callable[[], None], line: TerminalLine) -> None:
         self.texts = 0
         self._fd = fd
         self._gone: Callable[[], None] | None = gone
@@ -238,7 +238,7 @@ class ConsoleDriver(LinuxDriver):
 
     def __init__(self, app: Any, **options: Any) -> None:
         super().__init__(app, **options)
-        self.line = Line(rate=rate_of(app.terminal))
+        self.line = TerminalLine(rate=rate_of(app.terminal))
         self._file: Any = TerminalFile(app.terminal, app.terminal_gone, self.line)
         self.losses = 0
         self._texts = 0

@@ -13,8 +13,8 @@ from textual.geometry import Region
 from textual.widgets import Input, TextArea
 from textual.widgets._toast import ToastRack
 
-from rsb_console.terminal.frames import LAST, Frames
-from rsb_console.terminal.line import Line
+from rsb_console.terminal.screen_cells import LAST, ScreenCells
+from rsb_console.terminal.terminal_line import TerminalLine
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Sequence
@@ -41,7 +41,7 @@ class NoTerminal:
         line: carries all.
     """
 
-    late, is_free, line = 0.0, True, Line(rate=float("inf"))
+    late, is_free, line = 0.0, True, TerminalLine(rate=float("inf"))
 
     def use_colours(self, colours: ColorSystem) -> None:
         """Do nothing."""
@@ -77,7 +77,7 @@ class ScreenWriter:
         self._driver, self.line = driver, driver.line
         self._pictures = pictures
         self._written = written
-        self._frames = Frames(colours)
+        self._frames = ScreenCells(colours)
         self._losses = driver.losses
         self._next: Timer | None = None
         self._lacking_since: float | None = None

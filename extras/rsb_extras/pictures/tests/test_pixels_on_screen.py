@@ -20,7 +20,7 @@ from textual.widgets import Static
 
 from rsb_bridge.model.snapshot import ArmingSnapshot
 from rsb_console.app import ConsoleApp
-from rsb_console.terminal.line import Line
+from rsb_console.terminal.terminal_line import TerminalLine
 from rsb_extras.driving.drive_screen import DriveScreen
 from rsb_extras.pictures.graphics import BANDS
 from rsb_extras.pictures.picture import Pixels
@@ -330,7 +330,7 @@ async def test_proportions_hold_while_line_is_slow(
     cell, name = (7.0, 15.0), "kitty"
     written = await in_pixels(pilot, "kitty", cell, name)
 
-    replaced.NO_LINE.set(monkeypatch, Line(rate=100.0))
+    replaced.NO_LINE.set(monkeypatch, TerminalLine(rate=100.0))
     wish = looks(engine_of(app))[-1][1]
     if covered:
         await app.push_screen(Box(Region(0, 0, *app.size)))

@@ -15,7 +15,7 @@ from textual._compositor import LayoutUpdate
 from textual.geometry import Region, Size
 from textual.strip import Strip
 
-from rsb_console.terminal.frames import FIRST, LAST, USUAL, Frames
+from rsb_console.terminal.screen_cells import FIRST, LAST, USUAL, ScreenCells
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -39,13 +39,13 @@ pieces = st.lists(
 )
 
 
-def frames() -> Frames:
-    made = Frames(ColorSystem.TRUECOLOR)
+def screen_cells() -> ScreenCells:
+    made = ScreenCells(ColorSystem.TRUECOLOR)
     made.resize(SIZE)
     return made
 
 
-def drawn(frames: Frames, *drawn: Piece) -> None:
+def drawn(frames: ScreenCells, *drawn: Piece) -> None:
     for y, x, text, style in drawn:
         strip = Strip([Segment(text, style)])
         frames.draw(LayoutUpdate([[strip]], Region(x, y, strip.cell_length, 1)))
@@ -76,7 +76,7 @@ def _seen(char: pyte.screens.Char) -> tuple[object, ...]:
 @given(st.lists(pieces, min_size=1, max_size=5), st.integers(1, 60))
 def test_terminal_shows_what_was_drawn(turns: Sequence[Sequence[Piece]], most: int) -> None:
     """In small frames, after several changes, it shows the same as after one frame of the last screen alone."""
-    ours, whole = frames(), frames()
+    ours, whole = screen_cells(), screen_cells()
     by_frames, at_once = Emulator(), Emulator()
     ours.forget()
     whole.forget()
@@ -96,7 +96,7 @@ def test_terminal_shows_what_was_drawn(turns: Sequence[Sequence[Piece]], most: i
 
 def test_region_is_written_again() -> None:
     """As where an image in pixels stood."""
-    ours = frames()
+    ours = screen_cells()
     drawn(ours, (1, 0, "left right", PLAIN), (2, 0, "below", PLAIN))
     ours.next(INF, (), ())
     ours.forget(Region(5, 1, 100, 100))
@@ -107,7 +107,7 @@ def test_region_is_written_again() -> None:
 
 
 def test_wide_characters_are_written_whole() -> None:
-    ours, emulator = frames(), Emulator()
+    ours, emulator = screen_cells(), Emulator()
     drawn(ours, (0, 0, "網a", PLAIN))
     emulator.take(ours.next(INF, (), ()).text)
     drawn(ours, (0, 1, "b", PLAIN))  # its second half
@@ -118,7 +118,7 @@ def test_wide_characters_are_written_whole() -> None:
 
 
 def test_only_cells_that_differ_are_written() -> None:
-    ours = frames()
+    ours = screen_cells()
     drawn(ours, (1, 0, "12.5 Hz", COLOURED))
     assert "12.5 Hz" in ours.next(INF, (), ()).text
     drawn(ours, (1, 0, "12.6 Hz", COLOURED))
@@ -130,14 +130,14 @@ def test_only_cells_that_differ_are_written() -> None:
 
 
 def test_looks_are_said_once() -> None:
-    ours = frames()
+    ours = screen_cells()
     ours.next(INF, (), ())
     drawn(ours, (0, 0, "a", BOLD), (0, 1, " ", PLAIN), (0, 2, "b", BOLD), (0, 3, "c", PLAIN))
     assert ours.next(INF, (), ()).text == "\x1b[1H\x1b[1ma b\x1b[mc\x1b[m"
 
 
 def test_most_important_comes_first() -> None:
-    ours = frames()
+    ours = screen_cells()
     drawn(ours, *((y, 0, "x" * SIZE.width, PLAIN) for y in range(SIZE.height)))
     box, picture = Region(4, 3, 8, 1), Region(0, 0, SIZE.width, 2)
     while (frame := ours.next(8, [box], [picture])).lacks == FIRST:
@@ -152,7 +152,7 @@ def test_most_important_comes_first() -> None:
 
 def test_frame_goes_on_where_last_one_ended() -> None:
     """Else what changes at the top would hide for ever what is below."""
-    ours = frames()
+    ours = screen_cells()
     rows = set()
     for turn in range(12 * SIZE.height):
         drawn(ours, *((y, 0, str(turn % 10) * 10, PLAIN) for y in range(SIZE.height)))
@@ -162,7 +162,7 @@ def test_frame_goes_on_where_last_one_ended() -> None:
 
 @pytest.mark.parametrize("another", [SIZE, Size(30, 6)])
 def test_all_is_written_again_to_a_terminal_that_lost_it(another: Size) -> None:
-    ours = frames()
+    ours = screen_cells()
     drawn(ours, (1, 2, "here", PLAIN))
     ours.next(INF, (), ())
     if another == SIZE:

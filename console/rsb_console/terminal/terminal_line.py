@@ -39,7 +39,7 @@ _TRIED_EVERY: Final = 1.0
 _ASKED_AFTER: Final = 1.0
 """s after which a small frame is followed by a question, too."""
 _SECONDS: Final = 5
-"""s over which `Line.per_second` is measured, if something is written in each."""
+"""s over which `TerminalLine.per_second` is measured, if something is written in each."""
 _GIVEN_UP_AFTER: Final = 30.0
 """s after which an answer that has not come will not: another terminal may be there, which gives none. As for keys."""
 _EMPTIED_EVERY: Final = 20.0
@@ -65,7 +65,7 @@ class _Asked(NamedTuple):
     alone: bool  # nothing else was under way
 
 
-class Line:
+class TerminalLine:
     """What is under way to one terminal. Its methods may be called from any thread.
 
     Args:

@@ -7,7 +7,7 @@ import itertools
 
 import pytest
 
-from rsb_console.terminal.line import FRAME, Line
+from rsb_console.terminal.terminal_line import FRAME, TerminalLine
 
 STEP = 0.01
 
@@ -23,7 +23,7 @@ class Way:
 
     def __init__(self, rate: float, trip: float = 0.0, *, answers: bool = True, buffer: int | None = None) -> None:
         self.now, self.rate, self.trip, self.answers, self.buffer = 100.0, rate, trip, answers, buffer
-        self.line = Line(lambda: self.now)
+        self.line = TerminalLine(lambda: self.now)
         self.carries_until = self.now
         self._answers: list[tuple[float, int, float]] = []
         self._order = itertools.count()

@@ -37,7 +37,7 @@ FIRST, USUAL, LAST = range(3)
 """What is written before what: what a key may have done, the rest, and pictures."""
 
 
-class Look(NamedTuple):
+class CellLook(NamedTuple):
     """The look of a cell as SGR's parameters; of a blank one, the ink is an empty string.
 
     Attributes:
@@ -60,10 +60,10 @@ class Cell(NamedTuple):
     """
 
     text: str
-    look: Look
+    look: CellLook
 
 
-class Run(NamedTuple):
+class CellRun(NamedTuple):
     """Neighbouring cells in one row, in which the terminal lacks something."""
 
     rank: int
@@ -72,7 +72,7 @@ class Run(NamedTuple):
     right: int
 
 
-class Frame(NamedTuple):
+class ScreenFrame(NamedTuple):
     """What brings the terminal nearer to the screen.
 
     Attributes:
@@ -86,7 +86,7 @@ class Frame(NamedTuple):
     lacks: int | None
 
 
-class Frames:
+class ScreenCells:
     """The screen as Textual drew it last, and as the terminal has it.
 
     Args:
@@ -104,7 +104,7 @@ class Frames:
     def resize(self, size: Size) -> None:
         """Take the screen's size; what the terminal has in another size is not known."""
         if (size.height, size.width) != (len(self._wanted), len(self._wanted[0]) if self._wanted else 0):
-            blank = Cell(" ", Look("", "", _OWN_PAPER))
+            blank = Cell(" ", CellLook("", "", _OWN_PAPER))
             self._wanted = [[blank] * size.width for _ in range(size.height)]
             self._shown = [[None] * size.width for _ in range(size.height)]
             self._changed = set(range(size.height))
@@ -149,7 +149,7 @@ class Frames:
         columns = slice(region.x, region.right)
         return any(self._wanted[y][columns] != self._shown[y][columns] for y in region.line_range if y in self._changed)
 
-    def next(self, most: float, first: Sequence[Region], last: Sequence[Region]) -> Frame:
+    def next(self, most: float, first: Sequence[Region], last: Sequence[Region]) -> ScreenFrame:
         """Return the next frame, and count it as shown.
 
         Args:
@@ -159,7 +159,7 @@ class Frames:
         """
         self._changed = {y for y in self._changed if self._wanted[y] != self._shown[y]}
 
-        def in_order(run: Run) -> tuple[int, bool, int, int]:
+        def in_order(run: CellRun) -> tuple[int, bool, int, int]:
             return run.rank, (run.row, run.left) < self._begin_at, run.row, run.left
 
         runs = sorted(self._runs(first, last), key=in_order)
@@ -171,18 +171,18 @@ class Frames:
                 spans.append((run.row, run.left, written))
             if written < run.right:
                 self._begin_at = run.row, written
-                return Frame(pen.text, spans, run.rank)
+                return ScreenFrame(pen.text, spans, run.rank)
         self._begin_at = (0, 0)
         self._changed.clear()
-        return Frame(pen.text, spans, None)
+        return ScreenFrame(pen.text, spans, None)
 
-    def _runs(self, first: Sequence[Region], last: Sequence[Region]) -> Iterator[Run]:
+    def _runs(self, first: Sequence[Region], last: Sequence[Region]) -> Iterator[CellRun]:
         for y in self._changed:
             wanted, shown = self._wanted[y], self._shown[y]
             edges = {0, len(wanted), *([self._begin_at[1]] if y == self._begin_at[0] else [])}
             for left, right, rank in _ranked(y, edges, first, last):
                 for begin, end in _differing(wanted, shown, left, right):
-                    yield Run(rank, y, begin, end)
+                    yield CellRun(rank, y, begin, end)
 
 
 class _Pen:
@@ -192,7 +192,7 @@ class _Pen:
         self._most = most
         self._parts: list[str] = []
         self._size = 0
-        self._look = Look("", _OWN_INK, _OWN_PAPER)
+        self._look = CellLook("", _OWN_INK, _OWN_PAPER)
         self._at: tuple[int, int] | None = None
         """Row and column of the cursor, if they are known."""
 
@@ -201,7 +201,7 @@ class _Pen:
         """What was written, which leaves the terminal's own colours."""
         return "".join((*self._parts, "\x1b[m")) if self._parts else ""
 
-    def write(self, row: Sequence[Cell], run: Run) -> int:
+    def write(self, row: Sequence[Cell], run: CellRun) -> int:
         """Write a run, or a part of it; return the column behind the last one that was written."""
         for x in range(run.left, run.right):
             text, look = row[x]
@@ -232,18 +232,18 @@ class _Pen:
         else:
             self._add(f"\x1b[{y + 1};{x + 1}H" if x else f"\x1b[{y + 1}H")
 
-    def _take(self, look: Look) -> None:
+    def _take(self, look: CellLook) -> None:
         if look == self._look:
             return
         had = self._look
         if not look.ink:  # blank: neither ink nor weight are seen
             seen = _SEEN_ON_BLANKS.isdisjoint(had.attributes.split(";"))
-            look = Look(had.attributes if seen else "", had.ink, look.paper)
+            look = CellLook(had.attributes if seen else "", had.ink, look.paper)
         codes = []
         if look.attributes != had.attributes:
             if had.attributes:
                 codes.append("0")
-                had = Look("", _OWN_INK, _OWN_PAPER)
+                had = CellLook("", _OWN_INK, _OWN_PAPER)
             codes += [look.attributes] if look.attributes else []
         codes += [look.ink] if look.ink != had.ink else []
         codes += [look.paper] if look.paper != had.paper else []
@@ -288,13 +288,13 @@ def _differing(
         yield begin, end
 
 
-def _blank(look: Look) -> Cell:
+def _blank(look: CellLook) -> Cell:
     is_seen = not _SEEN_ON_BLANKS.isdisjoint(look.attributes.split(";"))
-    return Cell(" ", look if is_seen else Look("", "", look.paper))
+    return Cell(" ", look if is_seen else CellLook("", "", look.paper))
 
 
 @lru_cache(maxsize=8192)
-def _cells(text: str, look: Look) -> tuple[Cell, ...]:
+def _cells(text: str, look: CellLook) -> tuple[Cell, ...]:
     space = _blank(look)
     if text.isascii():
         return tuple(space if char == " " else Cell(char, look) for char in text)
@@ -307,13 +307,13 @@ def _cells(text: str, look: Look) -> tuple[Cell, ...]:
 
 
 @lru_cache(maxsize=4096)
-def _look(style: Style | None, colours: ColorSystem) -> Look:
+def _look(style: Style | None, colours: ColorSystem) -> CellLook:
     if style is None:
-        return Look("", _OWN_INK, _OWN_PAPER)
+        return CellLook("", _OWN_INK, _OWN_PAPER)
     bits = style._attributes & style._set_attributes
     attributes = ";".join(code for bit, code in enumerate(_ATTRIBUTES) if bits & (1 << bit))
     ink, paper = (
         own if colour is None else ";".join(colour.downgrade(colours).get_ansi_codes(foreground=own is _OWN_INK))
         for colour, own in ((style.color, _OWN_INK), (style.bgcolor, _OWN_PAPER))
     )
-    return Look(attributes, ink, paper)
+    return CellLook(attributes, ink, paper)
