@@ -83,24 +83,24 @@ def test_terminal_shows_what_was_drawn(turns: Sequence[Sequence[Piece]], most: i
     for turn in turns:
         drawn(ours, *turn)
         drawn(whole, *turn)
-        by_frames.take(ours.next(most, (), ()).text)
+        by_frames.take(ours.next(most).text)
     for _ in range(1000):
-        frame = ours.next(most, (), ())
+        frame = ours.next(most)
         by_frames.take(frame.text)
         if frame.lacks is None:
             break
-    at_once.take(whole.next(INF, (), ()).text)
+    at_once.take(whole.next(INF).text)
     assert by_frames.cells == at_once.cells
-    assert ours.next(most, (), ()).text == ""
+    assert ours.next(most).text == ""
 
 
 def test_region_is_written_again() -> None:
     """As where an image in pixels stood."""
     ours = screen_cells()
     drawn(ours, (1, 0, "left right", PLAIN), (2, 0, "below", PLAIN))
-    ours.next(INF, (), ())
+    ours.next(INF)
     ours.forget(Region(5, 1, 100, 100))
-    frame = ours.next(INF, (), ())
+    frame = ours.next(INF)
     assert "right" in frame.text
     assert "left" not in frame.text
     assert {left for _, left, _ in frame.spans} == {5}
@@ -109,42 +109,42 @@ def test_region_is_written_again() -> None:
 def test_wide_characters_are_written_whole() -> None:
     ours, emulator = screen_cells(), Emulator()
     drawn(ours, (0, 0, "網a", PLAIN))
-    emulator.take(ours.next(INF, (), ()).text)
+    emulator.take(ours.next(INF).text)
     drawn(ours, (0, 1, "b", PLAIN))  # its second half
-    emulator.take(ours.next(INF, (), ()).text)
+    emulator.take(ours.next(INF).text)
     drawn(ours, (0, 0, "c", PLAIN))
-    emulator.take(ours.next(INF, (), ()).text)
+    emulator.take(ours.next(INF).text)
     assert emulator.screen.display[0].startswith("cba")
 
 
 def test_only_cells_that_differ_are_written() -> None:
     ours = screen_cells()
     drawn(ours, (1, 0, "12.5 Hz", COLOURED))
-    assert "12.5 Hz" in ours.next(INF, (), ()).text
+    assert "12.5 Hz" in ours.next(INF).text
     drawn(ours, (1, 0, "12.6 Hz", COLOURED))
-    frame = ours.next(INF, (), ())
+    frame = ours.next(INF)
     assert frame.text == "\x1b[2;4H\x1b[38;2;32;64;96;48;2;160;176;192m6\x1b[m"
     assert frame.spans == [(1, 3, 4)]
     drawn(ours, (1, 0, "12.6 Hz", COLOURED))
-    assert ours.next(INF, (), ()).text == ""
+    assert ours.next(INF).text == ""
 
 
 def test_looks_are_said_once() -> None:
     ours = screen_cells()
-    ours.next(INF, (), ())
+    ours.next(INF)
     drawn(ours, (0, 0, "a", BOLD), (0, 1, " ", PLAIN), (0, 2, "b", BOLD), (0, 3, "c", PLAIN))
-    assert ours.next(INF, (), ()).text == "\x1b[1H\x1b[1ma b\x1b[mc\x1b[m"
+    assert ours.next(INF).text == "\x1b[1H\x1b[1ma b\x1b[mc\x1b[m"
 
 
 def test_most_important_comes_first() -> None:
     ours = screen_cells()
     drawn(ours, *((y, 0, "x" * SIZE.width, PLAIN) for y in range(SIZE.height)))
     box, picture = Region(4, 3, 8, 1), Region(0, 0, SIZE.width, 2)
-    while (frame := ours.next(8, [box], [picture])).lacks == FIRST:
+    while (frame := ours.next(8, [(box, FIRST), (picture, LAST)])).lacks == FIRST:
         assert {y for y, *_ in frame.spans} == {3}
         assert ours.lacks(box)
     assert not ours.lacks(box)
-    while (frame := ours.next(8, [box], [picture])).lacks == USUAL:
+    while (frame := ours.next(8, [(box, FIRST), (picture, LAST)])).lacks == USUAL:
         assert not any(y < 2 for y, *_ in frame.spans)
     assert frame.lacks == LAST
     assert ours.lacks(picture)
@@ -156,7 +156,7 @@ def test_frame_goes_on_where_last_one_ended() -> None:
     rows = set()
     for turn in range(12 * SIZE.height):
         drawn(ours, *((y, 0, str(turn % 10) * 10, PLAIN) for y in range(SIZE.height)))
-        rows |= {y for y, *_ in ours.next(12, (), ()).spans}
+        rows |= {y for y, *_ in ours.next(12).spans}
     assert rows == set(range(SIZE.height))
 
 
@@ -164,11 +164,11 @@ def test_frame_goes_on_where_last_one_ended() -> None:
 def test_all_is_written_again_to_a_terminal_that_lost_it(another: Size) -> None:
     ours = screen_cells()
     drawn(ours, (1, 2, "here", PLAIN))
-    ours.next(INF, (), ())
+    ours.next(INF)
     if another == SIZE:
         ours.forget()
-        assert "here" in ours.next(INF, (), ()).text
+        assert "here" in ours.next(INF).text
     else:
         ours.resize(another)
         drawn(ours, (1, 2, "here", PLAIN))
-        assert "here" in ours.next(INF, (), ()).text
+        assert "here" in ours.next(INF).text

@@ -149,20 +149,19 @@ class ScreenCells:
         columns = slice(region.x, region.right)
         return any(self._wanted[y][columns] != self._shown[y][columns] for y in region.line_range if y in self._changed)
 
-    def next(self, most: float, first: Sequence[Region], last: Sequence[Region]) -> ScreenFrame:
+    def next(self, most: float, ranks: Sequence[tuple[Region, int]] = ()) -> ScreenFrame:
         """Return the next frame, and count it as shown.
 
         Args:
             most: bytes, with which it ends once it has something.
-            first: regions that come before all others.
-            last: regions that come after them.
+            ranks: regions that come before or after what is `USUAL`; the first that has a cell counts.
         """
         self._changed = {y for y in self._changed if self._wanted[y] != self._shown[y]}
 
         def in_order(run: CellRun) -> tuple[int, bool, int, int]:
             return run.rank, (run.row, run.left) < self._begin_at, run.row, run.left
 
-        runs = sorted(self._runs(first, last), key=in_order)
+        runs = sorted(self._runs(ranks), key=in_order)
         pen, spans = _Pen(most), []
         for run in runs:
             written = pen.write(self._wanted[run.row], run)
@@ -176,11 +175,11 @@ class ScreenCells:
         self._changed.clear()
         return ScreenFrame(pen.text, spans, None)
 
-    def _runs(self, first: Sequence[Region], last: Sequence[Region]) -> Iterator[CellRun]:
+    def _runs(self, ranks: Sequence[tuple[Region, int]]) -> Iterator[CellRun]:
         for y in self._changed:
             wanted, shown = self._wanted[y], self._shown[y]
             edges = {0, len(wanted), *([self._begin_at[1]] if y == self._begin_at[0] else [])}
-            for left, right, rank in _ranked(y, edges, first, last):
+            for left, right, rank in _ranked(y, edges, ranks):
                 for begin, end in _differing(wanted, shown, left, right):
                     yield CellRun(rank, y, begin, end)
 
@@ -252,19 +251,16 @@ class _Pen:
         self._look = look
 
 
-def _ranked(y: int, edges: set[int], first: Sequence[Region], last: Sequence[Region]) -> Iterator[tuple[int, int, int]]:
+def _ranked(y: int, edges: set[int], ranks: Sequence[tuple[Region, int]]) -> Iterator[tuple[int, int, int]]:
     """Yield the parts of a row: the first column, the one behind the last, and the rank.
 
     Args:
         edges: columns where parts begin and end, besides those of regions.
     """
-    above = [(each.x, each.right, FIRST) for each in first if y in each.line_range]
-    below = [(each.x, each.right, LAST) for each in last if y in each.line_range]
-    width = max(edges)
-    edges |= {max(0, min(width, edge)) for part in (*above, *below) for edge in part[:2]}
+    parts, width = [(each.x, each.right, rank) for each, rank in ranks if y in each.line_range], max(edges)
+    edges |= {max(0, min(width, edge)) for begin, end, _ in parts for edge in (begin, end)}
     for left, right in pairwise(sorted(edges)):
-        over = (rank for begin, end, rank in (*above, *below) if begin <= left < end)
-        yield left, right, next(over, USUAL)
+        yield left, right, next((rank for begin, end, rank in parts if begin <= left < end), USUAL)
 
 
 def _differing(

@@ -13,7 +13,7 @@ from textual.geometry import Region
 from textual.widgets import Input, TextArea
 from textual.widgets._toast import ToastRack
 
-from rsb_console.terminal.screen_cells import LAST, ScreenCells
+from rsb_console.terminal.screen_cells import FIRST, LAST, ScreenCells
 from rsb_console.terminal.terminal_line import TerminalLine
 
 if TYPE_CHECKING:
@@ -107,8 +107,7 @@ class ScreenWriter:
             self._losses = self._driver.losses
             self._frames.forget()
         if self._driver.is_free:
-            last = [each.content_region for each in self._pictures if each.is_attached]
-            frame = self._frames.next(self._driver.line.most, [*self._first()], last)
+            frame = self._frames.next(self._driver.line.most, [*self._ranks()])
             self._write(frame.text, frame.spans)
             if frame.lacks is None or frame.lacks == LAST:
                 self._lacking_since = None
@@ -128,10 +127,14 @@ class ScreenWriter:
             self._driver.write_frame(text, whole=len(spans) > 1)
             self._written(spans)
 
-    def _first(self) -> Iterator[Region]:
-        yield Region(0, 0, self._app.size.width, _HEADER)
-        for screen in self._app.screen_stack[1:]:
-            yield from (each.region for each in screen.children if not isinstance(each, ToastRack))
+    def _ranks(self) -> Iterator[tuple[Region, int]]:
+        for screen in reversed(self._app.screen_stack):
+            yield from (
+                (each.content_region, LAST) for each in self._pictures if each.is_attached and each.screen is screen
+            )
+            if screen is not self._app.screen_stack[0]:
+                yield from ((each.region, FIRST) for each in screen.children if not isinstance(each, ToastRack))
+        yield Region(0, 0, self._app.size.width, _HEADER), FIRST
 
     def has(self, region: Region) -> bool:
         """Whether the terminal was given all of a region; if no answer will show that it has it, the line is free."""

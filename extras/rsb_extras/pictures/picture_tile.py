@@ -71,6 +71,8 @@ _GOAL_TOPIC = "/goal_pose"
 _SLOW, _IN_CHARACTERS = 0.3, 3
 """s that a line may take for an image, in which keys wait; and how often its resolution is halved until it is drawn in
 characters, which come in pieces between other things."""
+_DEAR = 50_000
+"""Bytes/s of a line below which 256 colours are worth more than true ones: an image in blocks comes twice as fast."""
 _COST_OVER = 5.0
 """s over which the cost of a tile is measured."""
 
@@ -200,7 +202,9 @@ class PictureTile(Tile):
         if self.app.no_color or self.app.console.color_system is None:
             return 0
         # With more, a map has half blocks of two tints, in which ASCII would show walls.
-        return min(facts.colours, 16) if self.app.ansi_color or self.terminal.ascii_only else facts.colours
+        if self.app.ansi_color or self.terminal.ascii_only:
+            return min(facts.colours, 16)
+        return min(facts.colours, 256) if self.terminal.writer.line.rate < _DEAR else facts.colours
 
     @property
     def _image_colours(self) -> int:

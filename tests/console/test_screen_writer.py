@@ -1,0 +1,47 @@
+"""Which part of the screen is written first: what a key may have done, and pictures last."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+from rich.color import ColorSystem
+from tests.console.driving import on_main, until
+from textual.geometry import Region
+from textual.screen import ModalScreen
+from textual.widgets import Static
+
+from rsb_console.terminal.screen_cells import FIRST, LAST
+from rsb_console.terminal.screen_writer import ScreenWriter
+from rsb_console.terminal.terminal_line import TerminalLine
+
+if TYPE_CHECKING:
+    from textual.app import ComposeResult
+    from textual.pilot import Pilot
+
+    from rsb_console.app import ConsoleApp
+
+
+class Box(ModalScreen[None]):
+    """A screen with one thing on it."""
+
+    def compose(self) -> ComposeResult:
+        yield Static("box", id="box")
+
+
+@on_main()
+async def test_boxes_come_before_pictures_below_them_and_after_their_own(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    below, above = Box(), Box()
+    for screen in (below, above):
+        app.push_screen(screen)
+        await until(pilot, lambda screen=screen: bool(screen.query("#box")) and screen.is_current, "a box")
+    picture, picture_above = below.query_one("#box"), above.query_one("#box")
+    driver: Any = SimpleNamespace(line=TerminalLine(), losses=0)
+    for shown, expected in (
+        ([picture], [(picture_above, FIRST), (picture, LAST), (picture, FIRST)]),
+        ([picture_above], [(picture_above, LAST), (picture_above, FIRST), (picture, FIRST)]),
+    ):
+        writer = ScreenWriter(app, driver, ColorSystem.TRUECOLOR, shown, lambda _: None)
+        *ranks, header = writer._ranks()
+        assert ranks == [(widget.region, rank) for widget, rank in expected]
+        assert header == (Region(0, 0, app.size.width, 2), FIRST)
