@@ -129,6 +129,15 @@ def test_only_cells_that_differ_are_written() -> None:
     assert ours.next(INF).text == ""
 
 
+def test_smaller_screen_after_a_frame_that_was_cut_short_is_written() -> None:
+    ours = frames()
+    drawn(ours, (0, 0, "x" * SIZE.width, PLAIN))
+    assert ours.next(SIZE.width - 4, (), ()).lacks == USUAL
+    ours.resize(Size(4, 2))
+    drawn(ours, (0, 0, "abcd", PLAIN))
+    assert "abcd" in ours.next(INF, (), ()).text
+
+
 def test_looks_are_said_once() -> None:
     ours = screen_cells()
     ours.next(INF)

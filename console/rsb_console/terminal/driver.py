@@ -243,6 +243,8 @@ class ConsoleDriver(LinuxDriver):
         self.losses = 0
         self._texts = 0
         self._waits_since = 0.0
+        self._ended: object = None
+        """The thread that writes no more: until the next one, another program has the terminal."""
         self._unwatched = threading.Event()
         self._continuing = False
         self._asks = False
@@ -266,7 +268,9 @@ class ConsoleDriver(LinuxDriver):
         return self._writer_thread._queue
 
     def write(self, data: str) -> None:
-        """Pass `data` on to the terminal, or drop it while the queue is full."""
+        """Pass `data` on to the terminal, or drop it while the queue is full, or another program has the terminal."""
+        if not self._has_terminal:
+            return
         if not self._waits:
             self._waits_since = time.monotonic()
         with contextlib.suppress(Full):
@@ -282,6 +286,10 @@ class ConsoleDriver(LinuxDriver):
             self.ask()
 
     @property
+    def _has_terminal(self) -> bool:
+        return self._writer_thread is not self._ended
+
+    @property
     def _waits(self) -> bool:
         """Whether the thread has not yet written all."""
         file: TerminalFile = self._file
@@ -290,7 +298,7 @@ class ConsoleDriver(LinuxDriver):
     @property
     def is_free(self) -> bool:
         """Whether the next frame may be written."""
-        return not self._waits and self.line.is_free
+        return self._has_terminal and not self._waits and self.line.is_free
 
     @property
     def late(self) -> float:
@@ -456,6 +464,7 @@ class ConsoleDriver(LinuxDriver):
         thread = self._writer_thread
         if thread is None:
             return
+        self._ended = thread
         try:
             self._queue.put(None, timeout=CLOSE_TIMEOUT)
         except Full:

@@ -108,6 +108,7 @@ class ScreenCells:
             self._wanted = [[blank] * size.width for _ in range(size.height)]
             self._shown = [[None] * size.width for _ in range(size.height)]
             self._changed = set(range(size.height))
+            self._begin_at = (0, 0)
 
     def forget(self, region: Region | None = None) -> None:
         """Note that the terminal may show anything, or does so in a region."""

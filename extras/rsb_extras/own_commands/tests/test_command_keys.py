@@ -335,6 +335,42 @@ def test_interactive_command_gets_the_terminal_and_gives_it_back(in_tmux: Tmux) 
     pressed(in_tmux, "X", "exit code 5")
 
 
+CHANGING = """
+import itertools, sys
+from pathlib import Path
+from rsb_console.command.console_command import run_app
+from rsb_console.app import ConsoleApp
+from tests.console.driving import scripted_app
+changes, ready = itertools.count(), ConsoleApp.on_ready
+def change(app):
+    app.notify(f"change {next(changes)}", timeout=0.05)
+    Path(sys.argv[1], "changes").write_text(str(changes))
+ConsoleApp.on_ready = lambda self: [ready(self), self.set_interval(0.05, lambda: change(self))]
+run_app(scripted_app(config=Path(sys.argv[1])), mouse=False)
+"""
+
+
+def test_what_changes_while_a_command_has_the_terminal_is_shown_after_it(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (folder / "console.yaml").write_text(TERMINAL)
+    monkeypatch.chdir(Path(__file__).parents[4])
+    environ = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    changes = folder / "changes"
+    with Terminal(sys.executable, "-c", CHANGING, str(folder), environ=environ) as terminal:
+        terminal.wait_for(TOPIC)
+        terminal.type("\x1b[20~")  # F9
+        terminal.wait_for("\x1b[?1049l")
+        before = changes.read_text()
+        eventually(lambda: changes.read_text() not in ("", before), what="a change")
+        before = changes.read_text()
+        eventually(lambda: changes.read_text() not in ("", before), what="another one, once the first was drawn")
+        mark = len(terminal.output)
+        terminal.type("\n\n")
+        terminal.wait_for("exit code 6", after=mark)
+        terminal.type("\x03y")
+
+
 ENDING = """
 commands:
   X: {run: "echo $$ >{folder}/pane; sleep 1000"}
