@@ -130,12 +130,12 @@ def test_only_cells_that_differ_are_written() -> None:
 
 
 def test_smaller_screen_after_a_frame_that_was_cut_short_is_written() -> None:
-    ours = frames()
+    ours = screen_cells()
     drawn(ours, (0, 0, "x" * SIZE.width, PLAIN))
-    assert ours.next(SIZE.width - 4, (), ()).lacks == USUAL
+    assert ours.next(SIZE.width - 4).lacks == USUAL
     ours.resize(Size(4, 2))
     drawn(ours, (0, 0, "abcd", PLAIN))
-    assert "abcd" in ours.next(INF, (), ()).text
+    assert "abcd" in ours.next(INF).text
 
 
 def test_looks_are_said_once() -> None:
