@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from contextlib import nullcontext
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 
 PLAN = "nav_msgs/srv/GetPlan"
 SET = "std_srvs/srv/SetBool"
+ANSWER = serialize_message(SetBool.Response())
 
 
 pytestmark = pytest.mark.usefixtures("way")
@@ -83,6 +85,36 @@ def test_we_answer_a_stock_nodes_calls(open_node: Callable[..., RosNode], stock:
     eventually(lambda: all(each.done() for each in futures))
     assert [each.result().success for each in futures] == [False, True, False, True, False]
     assert {each.result().message for each in futures} == {"é"}
+
+
+def test_answer_behind_another_clients_is_taken(open_node: Callable[..., RosNode]) -> None:
+    """DDS gives each client the answers of all, as those to a bridge that was killed; both come before it looks."""
+    provider, caller, another = open_node(name="provider"), open_node(name="caller"), open_node(name="another")
+    requests, answers, others = Requests(), list[Any](), list[Any]()
+    is_held, may_look = threading.Event(), threading.Event()
+
+    def hold(_: object) -> None:
+        is_held.set()
+        may_look.wait(180)
+
+    server = provider.serve("/set", SET, "", requests)
+    holding = provider.serve("/hold", SET, "", lambda batch: holding.answer(batch[0].caller, ANSWER))
+    holder = caller.call_service("/hold", SET, "", hold)
+    ours, theirs = (
+        each.call_service("/set", SET, "", to.extend) for each, to in ((caller, answers), (another, others))
+    )
+    eventually(lambda: holder.ready and ours.ready and theirs.ready)
+    for client in (theirs, ours, theirs):
+        before = len(requests)
+        client.call(serialize_message(SetBool.Request()))
+        eventually(lambda before=before: len(requests) > before)
+    holder.call(serialize_message(SetBool.Request()))
+    assert is_held.wait(180)
+    for request in requests:
+        server.answer(request.caller, ANSWER)
+    eventually(lambda: len(others) == 2, what="the answers have come")
+    may_look.set()
+    eventually(lambda: answers, what="our answer")
 
 
 def test_invalid_messages_of_peer_are_refused_or_unread(

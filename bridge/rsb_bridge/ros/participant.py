@@ -25,6 +25,7 @@ from rsb_bridge.ros.native.rclpy_extension import (
     TOPICS,
     Handle,
     LivelinessOfPublishers,
+    UntakenResponses,
     ask,
     reason_of,
 )
@@ -97,6 +98,7 @@ class Participant:
         self._graph_version = 0
         self._late: dict[RawServiceServer, None] = {}
         self._buffer = TakeBuffer()
+        self._untaken = UntakenResponses(self._context)
         self._lease_numbers = itertools.count()
         # The middleware has a participant's entities locked while it asks a type support that is in Python, where the
         # GIL may change hands: nobody may have it then and want that lock.
@@ -105,6 +107,7 @@ class Participant:
     def leave(self) -> None:
         """Leave the domain; every endpoint is closed before."""
         self._buffer.free()
+        self._untaken.close()
         self.arrivals.close()
         self._leave_domain()
 
@@ -194,7 +197,9 @@ class Participant:
         borrowed = borrow_service(type_name, type_hash)
         handle = self._create("client", service, borrowed.type, _CALLS)
         name: str = handle.rclpy.service_name
-        return RawServiceClient(handle, name) if borrowed.raw else TypedClient(handle, name, borrowed.type.interface)
+        if not borrowed.raw:
+            return TypedClient(handle, name, self._untaken, borrowed.type.interface)
+        return RawServiceClient(handle, name, self._untaken)
 
     def wait(self, longest: float | None = None) -> tuple[list[int], bool]:
         """Wait as `Arrivals.wait` does, and try late answers again."""

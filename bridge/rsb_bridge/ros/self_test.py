@@ -42,6 +42,7 @@ from rsb_bridge.ros.native.rclpy_extension import (
     ExtensionNode,
     Handle,
     PublicNode,
+    UntakenResponses,
     ask,
     reason_of,
     wait_set,
@@ -253,6 +254,11 @@ class _Endpoints:
     def closed_at_end(self, endpoint: Any) -> None:
         self.ending.callback(endpoint.close)
 
+    def untaken(self) -> UntakenResponses:
+        untaken = UntakenResponses(self._context)
+        self.closed_at_end(untaken)
+        return untaken
+
     def wait(self, kind: Kind, handle: Handle, take: Callable[[], Sequence[Any] | None]) -> Any:
         """Return the first thing that comes, or None if nothing comes."""
         room = {f"{kind}s": 1}
@@ -326,7 +332,7 @@ def _calls_cross(endpoints: _Endpoints, interface: type) -> None:
 
     server = RawServiceServer(served, _NAME, CallerTable(ask_dds, _NAME, _QOS, lambda: 0), lambda _: None)
     endpoints.closed_at_end(server)
-    client = RawServiceClient(called, _NAME)
+    client = RawServiceClient(called, _NAME, endpoints.untaken())
     endpoints.closed_at_end(client)
     number = client.call(_PAYLOAD)
     request = endpoints.wait("service", served, lambda: server.take(1))

@@ -11,6 +11,8 @@ The behaviour of rmw_fastrtps_cpp with calls, and its consequences here:
 - A server that responds to a reader that it has had a request of waits for that reader, 100 ms, if it is not matched,
   be it that it was not discovered yet or that it has gone; and the waiting thread keeps the GIL. So an answer to one
   that the graph does not show is kept, and tried again.
+- Each client of a service gets the responses to all of them, and a take of another's gives nothing, as if none were
+  left. Then the own one behind it would stay until the next response comes, so the client asks whether one is left.
 - A server that is to respond to a reader that it has had no request of stays silent, and so does not answer requests
   to an earlier server. To a writer it responds unseen. A client's writer is created right after its reader, while
   its participant creates nothing else, so that its number is the next.
@@ -54,7 +56,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from rsb_bridge.model.qos import Qos
-    from rsb_bridge.ros.native.rclpy_extension import Handle
+    from rsb_bridge.ros.native.rclpy_extension import Handle, UntakenResponses
     from rsb_bridge.ros.ros_interface import Endpoint
 
     AskDds = Callable[..., list[dict[str, Any]]]
@@ -208,10 +210,14 @@ class ServiceEndpoint:
                     break
                 raise
             if one is None:
-                self.has_more = False
+                self.has_more = self._has_untaken()
                 break
             taken.append(one)
         return taken or None
+
+    def _has_untaken(self) -> bool:
+        """Return whether DDS may hold more although the last take gave nothing."""
+        return False
 
     def _take(self) -> Request | Response | None:
         raise NotImplementedError
@@ -310,6 +316,14 @@ class RawServiceServer(ServiceEndpoint):
 class _Client(ServiceEndpoint):
     kind: Literal["client"] = "client"
 
+    def __init__(self, handle: Handle, name: str, untaken: UntakenResponses) -> None:
+        super().__init__(handle, name)
+        self._untaken = untaken
+
+    def _has_untaken(self) -> bool:
+        with _refused(self.name):
+            return self._untaken.has(self.handle.rclpy)
+
     @property
     def ready(self) -> bool:
         """Whether a server is matched; False once closed."""
@@ -323,8 +337,8 @@ class _Client(ServiceEndpoint):
 class RawServiceClient(_Client):
     """A raw client of a service."""
 
-    def __init__(self, handle: Handle, name: str) -> None:
-        super().__init__(handle, name)
+    def __init__(self, handle: Handle, name: str, untaken: UntakenResponses) -> None:
+        super().__init__(handle, name, untaken)
         self._info = ctypes.create_string_buffer(CALL_INFO.size)
 
     def _take(self) -> Response | None:
@@ -460,8 +474,8 @@ class TypedServer(ServiceEndpoint):
 class TypedClient(_Client):
     """A client of a service; as `RawServiceClient`."""
 
-    def __init__(self, handle: Handle, name: str, service_class: Any) -> None:
-        super().__init__(handle, name)
+    def __init__(self, handle: Handle, name: str, untaken: UntakenResponses, service_class: Any) -> None:
+        super().__init__(handle, name, untaken)
         self._request, self._response = service_class.Request, service_class.Response
 
     def _take(self) -> Response | None:

@@ -82,6 +82,33 @@ def guard_condition(context: Context) -> Any:
     return _guard_condition(context.handle)
 
 
+class UntakenResponses:
+    """Asks whether DDS holds responses that were not taken, by a wait set that does not wait. For one thread."""
+
+    def __init__(self, context: Context) -> None:
+        self._waits = wait_set(context, guards=1, clients=1)
+        self._no_wait = guard_condition(context)
+
+    def has(self, client: Any) -> bool:
+        """Return whether DDS holds some for a client, the extension module's object.
+
+        Raises:
+            RuntimeError: rcl refused it.
+        """
+        # Where nothing is ready, rmw_fastrtps takes 80 µs to wait for 0 s, and else 1 µs.
+        self._no_wait.trigger_guard_condition()
+        self._waits.clear_entities()
+        self._waits.add_guard_condition(self._no_wait)
+        self._waits.add_client(client)
+        self._waits.wait(0)
+        return bool(self._waits.get_ready_entities("client"))
+
+    def close(self) -> None:
+        """To be called once."""
+        for handle in (self._waits, self._no_wait):
+            handle.destroy_when_not_in_use()
+
+
 class _ExtensionEntity:
     def __init__(self, rclpy: Any) -> None:
         self.rclpy = rclpy

@@ -152,6 +152,14 @@ async def pressed(pilot: Pilot[None], clock: Clock, *keys: str) -> None:
     await pilot.press(*keys)
 
 
+async def pressed_until_shown(app: ConsoleApp, pilot: Pilot[None], clock: Clock, key: str, words: str) -> None:
+    """Press a key until the screen shows its effect: commands may end it before a slow machine has drawn it."""
+    deadline = time.monotonic() + 180.0
+    while not is_shown(app, words):
+        assert time.monotonic() < deadline, f"{words!r} not on the screen:\n{text(app)}"
+        await pressed(pilot, clock, key)
+
+
 async def rests(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> int:
     """Wait until nothing more is sent, and return the number of messages."""
 
@@ -489,8 +497,7 @@ def test_on_robots_side_far_drivers_have_rates() -> None:
 async def test_box_says_that_joystick_drives(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> None:
     await shown(pilot, DriveText.NO_KEY)
     await shown(pilot, DriveText.ALSO, who="/joystick", rate="10")
-    await pressed(pilot, clock, "up")
-    await shown(pilot, f"forward {SPEED:+.2f} m/s")
+    await pressed_until_shown(app, pilot, clock, "up", f"forward {SPEED:+.2f} m/s")
     await shown(pilot, DriveText.ALSO, who="/joystick", rate="10")
     put(app, ARMED)
     await gone(pilot, JOYSTICK_DRIVES)
@@ -685,10 +692,7 @@ async def test_speed_is_within_limits_whose_line_is_shown(app: ConsoleApp, pilot
     await pressed(pilot, clock, "o")
     await until(pilot, lambda: sent(app), "a command")
     assert velocities(app)[0] == velocity(TWIST, 0.1, -0.3)
-    deadline = time.monotonic() + 180
-    while not is_shown(app, "+0.10"):  # for as long as the key counts, which the commands shorten
-        assert time.monotonic() < deadline
-        await pressed(pilot, clock, "o")
+    await pressed_until_shown(app, pilot, clock, "o", "+0.10")
     assert all(each.reduce for each in sent(app))
     await pressed(pilot, clock, "minus", "minus", "minus", "minus", "minus", "space")
     await rests(app, pilot, clock)
