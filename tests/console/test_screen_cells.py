@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from rich.color import ColorSystem
 from rich.segment import Segment
 from rich.style import Style
-from textual._compositor import LayoutUpdate
+from textual._compositor import ChopsUpdate, LayoutUpdate
 from textual.geometry import Region, Size
 from textual.strip import Strip
 
@@ -92,6 +92,16 @@ def test_terminal_shows_what_was_drawn(turns: Sequence[Sequence[Piece]], most: i
     at_once.take(whole.next(INF).text)
     assert by_frames.cells == at_once.cells
     assert ours.next(most).text == ""
+
+
+def test_only_spans_of_an_update_are_taken() -> None:
+    """Beside them, Textual has drawn the widget below a message that has not changed."""
+    ours = screen_cells()
+    drawn(ours, (1, 0, "below" * 4, PLAIN), (1, 10, "message", BOLD))
+    ours.next(INF)
+    row = {0: Strip([Segment("BELOW" * 2)]), 10: Strip([Segment("BELOW" * 2)])}
+    ours.draw(ChopsUpdate([{}, row], [(1, 0, 5)], [[], [10, 20]]))
+    assert ours.next(INF).text == "\x1b[2HBELOW\x1b[m"
 
 
 def test_region_is_written_again() -> None:

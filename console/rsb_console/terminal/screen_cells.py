@@ -125,10 +125,11 @@ class ScreenCells:
             for y, strips in enumerate(update.strips, update.region.y):
                 self._put(y, update.region.x, strips)
             return
-        for y in {y for y, _, _ in update.spans}:
-            for x, strip in update.chops[y].items():
-                if strip is not None:
-                    self._put(y, x, (strip,))
+        for y, left, right in update.spans:
+            for end, (x, strip) in zip(update.chop_ends[y], update.chops[y].items(), strict=False):
+                # Beside the span, it may be of a widget that is below another one.
+                if strip is not None and x <= right and end > left:
+                    self._put(y, x, (strip if end <= right else strip.crop(0, right - x),))
 
     def _put(self, y: int, x: int, strips: Iterable[Strip]) -> None:
         if y >= len(self._wanted):
