@@ -127,6 +127,16 @@ def test_wide_characters_are_written_whole() -> None:
     assert emulator.screen.display[0].startswith("cba")
 
 
+def test_nothing_is_left_beside_emoji_that_terminal_takes_for_narrow() -> None:
+    """As tmux does with those that a variation selector makes wide."""
+    ours, emulator = screen_cells(), Emulator()
+    drawn(ours, (0, 0, "abcd", PLAIN))
+    emulator.take(ours.next(INF).text)
+    drawn(ours, (0, 0, "❤\ufe0f", PLAIN))
+    emulator.take(ours.next(INF).text)
+    assert [emulator.screen.buffer[0][x].data for x in range(1, 4)] == [" ", "c", "d"]
+
+
 def test_only_cells_that_differ_are_written() -> None:
     ours = screen_cells()
     drawn(ours, (1, 0, "12.5 Hz", COLOURED))

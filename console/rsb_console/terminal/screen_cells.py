@@ -3,7 +3,7 @@
 Textual draws each region that was touched, whether its characters differ or not. Over a slow line that is most of what
 is sent; so what Textual draws is kept here, and only cells that differ from the terminal's are written.
 
-Source of the sequences: ECMA-48 (CUP, CUF, CUD, SGR).
+Source of the sequences: ECMA-48 (CUP, CUF, CUD, ECH, SGR).
 """
 
 from __future__ import annotations
@@ -33,6 +33,8 @@ _JUMP: Final = 6
 """Cells that are written again rather than jumped over: a sequence that jumps is as long."""
 _BACK: Final = 3
 """Cells back and one down that are shorter one by one than as a place."""
+_ERASE_TWO, _LAST_OF_PLANE_0 = "\x1b[2X", "\uffff"
+"""Written before emoji: in a terminal that takes them for narrow, the cell beside would stay."""
 FIRST, USUAL, LAST = range(3)
 """What is written before what: what a key may have done, the rest, and pictures."""
 
@@ -212,9 +214,12 @@ class _Pen:
                 return x
             self._move(run.row, x)
             self._take(look)
+            is_wide = x + 1 < len(row) and row[x + 1].text == ""
+            if is_wide and (len(text) > 1 or text > _LAST_OF_PLANE_0):
+                self._add(_ERASE_TWO)
             self._add(text)
             # Terminals do not agree how wide some are, nor where the cursor is behind the last column.
-            is_known = x + 1 < len(row) and len(text) == 1 and row[x + 1].text != ""
+            is_known = x + 1 < len(row) and len(text) == 1 and not is_wide
             self._at = (run.row, x + 1) if is_known else None
         return run.right
 
