@@ -1,9 +1,10 @@
-"""Which part of the screen is written first: what a key may have done, and pictures last."""
+"""When the screen is given to the terminal, and which part of it first: what a key may have done, and pictures last."""
 
 from __future__ import annotations
 
+import time
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from rich.color import ColorSystem
 from tests.console.driving import on_main, until
@@ -16,6 +17,9 @@ from rsb_console.terminal.screen_writer import ScreenWriter
 from rsb_console.terminal.terminal_line import TerminalLine
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    import pytest
     from textual.app import ComposeResult
     from textual.pilot import Pilot
 
@@ -45,3 +49,23 @@ async def test_boxes_come_before_pictures_below_them_and_after_their_own(app: Co
         *ranks, header = writer._ranks()
         assert ranks == [(widget.region, rank) for widget, rank in expected]
         assert header == (Region(0, 0, app.size.width, 2), FIRST)
+
+
+def test_line_that_stands_still_is_looked_at_less_often(monkeypatch: pytest.MonkeyPatch) -> None:
+    now, waits = [100.0], list[float]()
+
+    def set_timer(seconds: float, _call: Callable[[], None]) -> object:
+        waits.append(seconds)
+        return object()
+
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    app = cast("Any", SimpleNamespace(set_timer=set_timer))
+    driver = cast("Any", SimpleNamespace(line=None, losses=0, is_free=False))
+    writer = ScreenWriter(app, driver, ColorSystem.TRUECOLOR, (), lambda _: None)
+    writer.give()
+    for _ in range(100):
+        now[0] += waits[-1]
+        writer.give()
+    assert waits[0] < 0.05
+    assert now[0] > 105.0
+    assert waits[-1] < 0.5

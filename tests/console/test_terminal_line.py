@@ -90,6 +90,14 @@ def test_rate_is_learned_where_nothing_answers(rate: int) -> None:
     assert carried > 0.6 * rate
 
 
+def test_questions_without_answers_take_no_memory() -> None:
+    way = Way(1_000_000, answers=False)
+    for _ in range(1000):
+        way.write(1_000)
+        way.go_on(2.0)
+    assert len(way.line._asked) < 20
+
+
 def test_fast_line_that_gives_no_answers_is_used() -> None:
     way = Way(1_000_000, answers=False, buffer=4096)
     way.play(60.0, 100_000)

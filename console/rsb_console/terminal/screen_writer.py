@@ -30,6 +30,9 @@ if TYPE_CHECKING:
 
 _LOOK_EVERY: Final = 0.02
 """s between two looks whether the next frame may be written."""
+_LOOK_AT_LEAST_EVERY, _OF_WAIT = 0.2, 0.1
+"""s between two looks at a line that stands still, and the part of its wait that a look may come late: with 50 looks a
+second, a terminal that is stuck takes half as much of the processor again as one that reads."""
 _HEADER: Final = 2
 """Rows at the top, which tell whether something is armed and how late the line is."""
 
@@ -81,6 +84,7 @@ class ScreenWriter:
         self._losses = driver.losses
         self._next: Timer | None = None
         self._lacking_since: float | None = None
+        self._gave_at = time.monotonic()
         self._cursor = (0, 0)
 
     def use_colours(self, colours: ColorSystem) -> None:
@@ -107,6 +111,7 @@ class ScreenWriter:
             self._losses = self._driver.losses
             self._frames.forget()
         if self._driver.is_free:
+            self._gave_at = time.monotonic()
             frame = self._frames.next(self._driver.line.most, [*self._ranks()])
             self._write(frame.text, frame.spans)
             if frame.lacks is None or frame.lacks == LAST:
@@ -115,7 +120,8 @@ class ScreenWriter:
                 return
         if self._lacking_since is None:
             self._lacking_since = time.monotonic()
-        self._next = self._app.set_timer(_LOOK_EVERY, self.give)
+        wait = (time.monotonic() - self._gave_at) * _OF_WAIT
+        self._next = self._app.set_timer(max(_LOOK_EVERY, min(wait, _LOOK_AT_LEAST_EVERY)), self.give)
 
     def _write(self, text: str, spans: Sequence[tuple[int, int, int]]) -> None:
         if isinstance(self._app.focused, Input | TextArea):

@@ -42,6 +42,8 @@ _SECONDS: Final = 5
 """s over which `TerminalLine.per_second` is measured, if something is written in each."""
 _GIVEN_UP_AFTER: Final = 30.0
 """s after which an answer that has not come will not: another terminal may be there, which gives none. As for keys."""
+_ASKED_AT_MOST: Final = 16
+"""Questions to a terminal that has given no answer, of which the newest are remembered."""
 _EMPTIED_EVERY: Final = 20.0
 """s after which a line that is in full use is let run empty, for as long as a round trip. A round figure."""
 _FASTER, _FASTER_AFTER, _AGAIN_AFTER = 1.1, 2.0, 30.0
@@ -114,6 +116,8 @@ class TerminalLine:
             due = self._carry() / self.rate + at + trip + max(_SLACK, trip / 2)
             alone = not self._asked and self._under_way <= self._since_question
             self._asked.append(_Asked(at, self._since_question, due, alone))
+            while not self.answers and len(self._asked) > _ASKED_AT_MOST:
+                self._asked.popleft()
             self._asked_at, self._since_question = at, 0
 
     def answered(self, asked_at: float) -> None:
