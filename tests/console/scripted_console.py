@@ -7,6 +7,11 @@ from typing import Any
 from tests.console.driving import scripted_app
 from tests.console.scripted import SESSION
 
+_NOTES_STAY = 1e6
+"""s. A slow machine may take longer to look at the screen than a note stays there otherwise, 5 s."""
+
 if __name__ == "__main__":
     options: dict[str, Any] = {"session": None, "path": None} if "--empty" in sys.argv else {"session": SESSION}
-    scripted_app(**{"path": Path("nav2.yaml"), **options}).run()
+    app = scripted_app(**{"path": Path("nav2.yaml"), **options})
+    app.NOTIFICATION_TIMEOUT = _NOTES_STAY
+    app.run()

@@ -64,8 +64,10 @@ class Tmux:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(int(pid), signal.SIGABRT)
         time.sleep(1)  # it has to write them
-        logs = (path.read_text() for path in Path(os.environ["XDG_STATE_HOME"]).rglob("output.txt"))
-        return "\n".join((states, self.picture, *logs))
+        logs = [path.read_text() for path in Path(os.environ["XDG_STATE_HOME"]).rglob("output.txt")]
+        with contextlib.suppress(subprocess.CalledProcessError):  # tmux ends with the program that it runs
+            logs.insert(0, self.picture)
+        return "\n".join((states, *logs))
 
     def __enter__(self) -> "Tmux":
         return self

@@ -321,6 +321,10 @@ def test_key_runs_a_real_command_in_a_terminal(in_tmux: Tmux) -> None:
 
 
 def test_interactive_command_gets_the_terminal_and_gives_it_back(in_tmux: Tmux) -> None:
+    pressed(in_tmux, "X", "exit code 5")  # it has started: F9 again would be an answer to the command
+    in_tmux("send-keys", "Escape")
+    in_tmux.wait_for("exit code 5", there=False)
+    in_tmux.wait_for("LIVE")
     in_tmux("send-keys", "F9")
     in_tmux.wait_for("LIVE", there=False)
     in_tmux("send-keys", "hello", "Enter")
