@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from rich.color import ColorSystem
 from rich.segment import Segment
 from rich.style import Style
-from textual._compositor import LayoutUpdate
+from textual._compositor import ChopsUpdate, LayoutUpdate
 from textual.geometry import Region, Size
 from textual.strip import Strip
 
@@ -172,3 +172,13 @@ def test_all_is_written_again_to_a_terminal_that_lost_it(another: Size) -> None:
         ours.resize(another)
         drawn(ours, (1, 2, "here", PLAIN))
         assert "here" in ours.next(INF, (), ()).text
+
+
+def test_update_changes_nothing_beside_its_spans() -> None:
+    """There it has what lies below a note: Textual leaves out widgets that nothing of the update touches."""
+    ours, terminal = frames(), Emulator()
+    drawn(ours, (1, 0, "topics", PLAIN), (1, 6, "note", PLAIN))
+    chops = [{}, {0: Strip([Segment("TOPICS")]), 6: Strip([Segment("base")])}]
+    ours.draw(ChopsUpdate(chops, [(1, 0, 6)], [[], [6, 10]]))
+    terminal.take(ours.next(INF, (), ()).text)
+    assert terminal.screen.display[1].rstrip() == "TOPICSnote"

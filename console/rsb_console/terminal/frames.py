@@ -124,9 +124,10 @@ class Frames:
             for y, strips in enumerate(update.strips, update.region.y):
                 self._put(y, update.region.x, strips)
             return
-        for y in {y for y, _, _ in update.spans}:
-            for x, strip in update.chops[y].items():
-                if strip is not None:
+        for y, begins, ends in update.spans:
+            for (x, strip), end in zip(update.chops[y].items(), update.chop_ends[y], strict=False):
+                # Beside its spans, an update has what lies below widgets that it leaves out, as a note.
+                if strip is not None and x < ends and begins < end:
                     self._put(y, x, (strip,))
 
     def _put(self, y: int, x: int, strips: Iterable[Strip]) -> None:
