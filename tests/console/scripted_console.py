@@ -13,5 +13,5 @@ _NOTES_STAY = 1e6
 if __name__ == "__main__":
     options: dict[str, Any] = {"session": None, "path": None} if "--empty" in sys.argv else {"session": SESSION}
     app = scripted_app(**{"path": Path("nav2.yaml"), **options})
-    app.NOTIFICATION_TIMEOUT = _NOTES_STAY
+    type(app).NOTIFICATION_TIMEOUT = _NOTES_STAY
     app.run()
