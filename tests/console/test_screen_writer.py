@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import time
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, cast
@@ -54,12 +55,13 @@ async def test_boxes_come_before_pictures_below_them_and_after_their_own(app: Co
 def test_line_that_stands_still_is_looked_at_less_often(monkeypatch: pytest.MonkeyPatch) -> None:
     now, waits = [100.0], list[float]()
 
-    def set_timer(seconds: float, _call: Callable[[], None]) -> object:
+    def call_later(seconds: float, _call: Callable[[], None]) -> object:
         waits.append(seconds)
         return object()
 
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
-    app = cast("Any", SimpleNamespace(set_timer=set_timer))
+    monkeypatch.setattr(asyncio, "get_running_loop", lambda: SimpleNamespace(call_later=call_later))
+    app = cast("Any", SimpleNamespace())
     driver = cast("Any", SimpleNamespace(line=None, losses=0, is_free=False))
     writer = ScreenWriter(app, driver, ColorSystem.TRUECOLOR, (), lambda _: None)
     writer.give()

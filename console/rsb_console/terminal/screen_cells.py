@@ -33,7 +33,7 @@ _JUMP: Final = 6
 """Cells that are written again rather than jumped over: a sequence that jumps is as long."""
 _BACK: Final = 3
 """Cells back and one down that are shorter one by one than as a place."""
-_ERASE_TWO, _LAST_OF_PLANE_0 = "\x1b[2X", "\uffff"
+_ERASE_TWO, _LAST_OF_PLANE_0 = "\x1b[2X", 0xFFFF
 """Written before emoji: in a terminal that takes them for narrow, the cell beside would stay."""
 FIRST, USUAL, LAST = range(3)
 """What is written before what: what a key may have done, the rest, and pictures."""
@@ -215,7 +215,7 @@ class _Pen:
             self._move(run.row, x)
             self._take(look)
             is_wide = x + 1 < len(row) and row[x + 1].text == ""
-            if is_wide and (len(text) > 1 or text > _LAST_OF_PLANE_0):
+            if is_wide and (len(text) > 1 or ord(text) > _LAST_OF_PLANE_0):
                 self._add(_ERASE_TWO)
             self._add(text)
             # Terminals do not agree how wide some are, nor where the cursor is behind the last column.

@@ -6,6 +6,7 @@ already do what will be seen later. Here the next frame is made once the last on
 
 from __future__ import annotations
 
+import asyncio
 import time
 from typing import TYPE_CHECKING, Final
 
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
     from rich.color import ColorSystem
     from textual._compositor import ChopsUpdate, LayoutUpdate
     from textual.app import App
-    from textual.timer import Timer
     from textual.widget import Widget
 
     from rsb_console.terminal.driver import ConsoleDriver
@@ -82,7 +82,7 @@ class ScreenWriter:
         self._written = written
         self._frames = ScreenCells(colours)
         self._losses = driver.losses
-        self._next: Timer | None = None
+        self._next: asyncio.TimerHandle | None = None
         self._lacking_since: float | None = None
         self._gave_at = time.monotonic()
         self._cursor = (0, 0)
@@ -95,7 +95,7 @@ class ScreenWriter:
         """Note that the terminal may show anything, or does so in a region: it is written again."""
         self._frames.forget(region)
         if self._next is None:
-            self._next = self._app.set_timer(_LOOK_EVERY, self.give)
+            self._look_in(_LOOK_EVERY)
 
     def draw(self, update: ChopsUpdate | LayoutUpdate) -> None:
         """Take what Textual has drawn, and write it as soon as the line allows."""
@@ -121,7 +121,17 @@ class ScreenWriter:
         if self._lacking_since is None:
             self._lacking_since = time.monotonic()
         wait = (time.monotonic() - self._gave_at) * _OF_WAIT
-        self._next = self._app.set_timer(max(_LOOK_EVERY, min(wait, _LOOK_AT_LEAST_EVERY)), self.give)
+        self._look_in(max(_LOOK_EVERY, min(wait, _LOOK_AT_LEAST_EVERY)))
+
+    def _look_in(self, seconds: float) -> None:
+        # Textual's timer skips its only call if this process gets no processor for so long at its start.
+        self._next = asyncio.get_running_loop().call_later(seconds, self._look)
+
+    def _look(self) -> None:
+        try:
+            self.give()
+        except Exception as error:  # noqa: BLE001 -- a crash of the app, as in its own handlers
+            self._app._handle_exception(error)
 
     def _write(self, text: str, spans: Sequence[tuple[int, int, int]]) -> None:
         if isinstance(self._app.focused, Input | TextArea):
