@@ -54,9 +54,10 @@ WHO_ARE_YOU: Final = "\x1b[>c"
 """Asks for the kind of the terminal (DA2)."""
 KIND = re.compile(r"\x1b\[>(?P<kind>[\d;]*)c")
 _ANSWERS = re.compile(rf"\x1b\[\d+;\d+R|{KIND.pattern.replace('?P<kind>', '')}")
-_MULTIPLEXERS: Final = re.compile(r"(84|83)(;|$)|1;10;0$")
-"""The kinds of tmux, GNU screen, and mosh."""
-_ENVIRONMENT: Final = ("TMUX", "STY", "ZELLIJ")
+_KINDS: Final = {"84": "tmux", "83": "GNU screen", "1;10;0": "mosh"}
+"""The kinds of programs that answer for the terminal: all of the answer, or its first number."""
+_VARIABLES: Final = {"TMUX": "tmux", "STY": "GNU screen", "ZELLIJ": "zellij"}
+"""The same by environment variables."""
 _READ_SIZE = 4096
 _LOOKS, _LOOK_EVERY = 6, 0.05
 """Looks at the end for the terminal's last answer, which would go to the shell; and s between them: 0.3 s in all, as in
@@ -95,7 +96,7 @@ class Pulse:
         self._lock = threading.Lock()
         self._next = 0
         self._began = clock()
-        self._is_in_multiplexer = any(environ.get(name) for name in _ENVIRONMENT)
+        self._is_in_multiplexer = bool(multiplexer("", environ))
         self._is_multiplexer = self._tells_kind = False
         self._shortest = 0.0
 
@@ -183,11 +184,17 @@ class Pulse:
     def take_kind(self, kind: str) -> None:
         """Take the terminal's kind, as it answers `WHO_ARE_YOU`."""
         self._tells_kind = True
-        self._is_multiplexer = _MULTIPLEXERS.match(kind) is not None
+        self._is_multiplexer = bool(multiplexer(kind, {}))
 
     def stamp(self, event: object) -> None:
         """Note how young an event from the terminal is, for `heard_before`."""
         vars(event)["heard"] = self.heard_now
+
+
+def multiplexer(kind: str, environ: Mapping[str, str]) -> str:
+    """Return the name of what answers for a terminal, by its kind or the environment, or an empty string."""
+    by_kind = _KINDS.get(kind) or _KINDS.get(kind.partition(";")[0], "")
+    return by_kind or next((name for variable, name in _VARIABLES.items() if environ.get(variable)), "")
 
 
 def without_answers(pasted: str) -> str:

@@ -52,6 +52,15 @@ class CellLook(NamedTuple):
     ink: str
     paper: str
 
+    @property
+    def marks_blanks(self) -> bool:
+        """Whether it is seen where no character is, beside the paper."""
+        return not _SEEN_ON_BLANKS.isdisjoint(self.attributes.split(";"))
+
+
+_OWN: Final = CellLook("", _OWN_INK, _OWN_PAPER)
+"""The terminal's own look."""
+
 
 class Cell(NamedTuple):
     """A cell of the screen.
@@ -106,8 +115,7 @@ class ScreenCells:
     def resize(self, size: Size) -> None:
         """Take the screen's size; what the terminal has in another size is not known."""
         if (size.height, size.width) != (len(self._wanted), len(self._wanted[0]) if self._wanted else 0):
-            blank = Cell(" ", CellLook("", "", _OWN_PAPER))
-            self._wanted = [[blank] * size.width for _ in range(size.height)]
+            self._wanted = [[_blank(_OWN)] * size.width for _ in range(size.height)]
             self._shown = [[None] * size.width for _ in range(size.height)]
             self._changed = set(range(size.height))
             self._begin_at = (0, 0)
@@ -117,8 +125,8 @@ class ScreenCells:
         region = region or Region(0, 0, len(self._wanted[0]) if self._wanted else 0, len(self._wanted))
         for y in region.line_range:
             if y < len(self._shown):
-                columns = range(*slice(region.x, region.right).indices(len(self._shown[y])))
-                self._shown[y][region.x : region.right] = [None] * len(columns)
+                columns = slice(region.x, region.right)
+                self._shown[y][columns] = [None] * len(self._shown[y][columns])
                 self._changed.add(y)
 
     def draw(self, update: ChopsUpdate | LayoutUpdate) -> None:
@@ -195,7 +203,7 @@ class _Pen:
         self._most = most
         self._parts: list[str] = []
         self._size = 0
-        self._look = CellLook("", _OWN_INK, _OWN_PAPER)
+        self._look = _OWN
         self._at: tuple[int, int] | None = None
         """Row and column of the cursor, if they are known."""
 
@@ -243,13 +251,12 @@ class _Pen:
             return
         had = self._look
         if not look.ink:  # blank: neither ink nor weight are seen
-            seen = _SEEN_ON_BLANKS.isdisjoint(had.attributes.split(";"))
-            look = CellLook(had.attributes if seen else "", had.ink, look.paper)
+            look = CellLook("" if had.marks_blanks else had.attributes, had.ink, look.paper)
         codes = []
         if look.attributes != had.attributes:
             if had.attributes:
                 codes.append("0")
-                had = CellLook("", _OWN_INK, _OWN_PAPER)
+                had = _OWN
             codes += [look.attributes] if look.attributes else []
         codes += [look.ink] if look.ink != had.ink else []
         codes += [look.paper] if look.paper != had.paper else []
@@ -292,8 +299,7 @@ def _differing(
 
 
 def _blank(look: CellLook) -> Cell:
-    is_seen = not _SEEN_ON_BLANKS.isdisjoint(look.attributes.split(";"))
-    return Cell(" ", look if is_seen else CellLook("", "", look.paper))
+    return Cell(" ", look if look.marks_blanks else CellLook("", "", look.paper))
 
 
 @lru_cache(maxsize=8192)
@@ -312,7 +318,7 @@ def _cells(text: str, look: CellLook) -> tuple[Cell, ...]:
 @lru_cache(maxsize=4096)
 def _look(style: Style | None, colours: ColorSystem) -> CellLook:
     if style is None:
-        return CellLook("", _OWN_INK, _OWN_PAPER)
+        return _OWN
     bits = style._attributes & style._set_attributes
     attributes = ";".join(code for bit, code in enumerate(_ATTRIBUTES) if bits & (1 << bit))
     ink, paper = (

@@ -80,7 +80,7 @@ class ScreenWriter:
         self._driver, self.line = driver, driver.line
         self._pictures = pictures
         self._written = written
-        self._frames = ScreenCells(colours)
+        self._cells = ScreenCells(colours)
         self._losses = driver.losses
         self._next: asyncio.TimerHandle | None = None
         self._lacking_since: float | None = None
@@ -89,18 +89,18 @@ class ScreenWriter:
 
     def use_colours(self, colours: ColorSystem) -> None:
         """Write in other colours from now on."""
-        self._frames.colours = colours
+        self._cells.colours = colours
 
     def forget(self, region: Region | None = None) -> None:
         """Note that the terminal may show anything, or does so in a region: it is written again."""
-        self._frames.forget(region)
+        self._cells.forget(region)
         if self._next is None:
             self._look_in(_LOOK_EVERY)
 
     def draw(self, update: ChopsUpdate | LayoutUpdate) -> None:
         """Take what Textual has drawn, and write it as soon as the line allows."""
-        self._frames.resize(self._app.size)
-        self._frames.draw(update)
+        self._cells.resize(self._app.size)
+        self._cells.draw(update)
         if self._next is None:
             self.give()
 
@@ -109,10 +109,10 @@ class ScreenWriter:
         self._next = None
         if self._losses != self._driver.losses:
             self._losses = self._driver.losses
-            self._frames.forget()
+            self._cells.forget()
         if self._driver.is_free:
             self._gave_at = time.monotonic()
-            frame = self._frames.next(self._driver.line.most, [*self._ranks()])
+            frame = self._cells.next(self.line.most, [*self._ranks()])
             self._write(frame.text, frame.spans)
             if frame.lacks is None or frame.lacks == LAST:
                 self._lacking_since = None
@@ -154,7 +154,7 @@ class ScreenWriter:
 
     def has(self, region: Region) -> bool:
         """Whether the terminal was given all of a region; if no answer will show that it has it, the line is free."""
-        return not self._frames.lacks(region) and (self._driver.line.answers or self._driver.is_free)
+        return not self._cells.lacks(region) and (self.line.answers or self._driver.is_free)
 
     @property
     def is_free(self) -> bool:

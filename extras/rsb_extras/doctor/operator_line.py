@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from rsb_bridge.model.finding import Check, Finding, Grade
 from rsb_bridge.model.wording import Wording
 from rsb_console.notation.formats import byte_rate
-from rsb_console.terminal.pulse import ASKED_EVERY, FRESH_FOR
+from rsb_console.terminal.pulse import ANSWERS_WITHIN, ASKED_EVERY, FRESH_FOR, multiplexer
 from rsb_console.terminal.terminal_facts import ask, facts_before_answers
 
 if TYPE_CHECKING:
@@ -39,14 +39,9 @@ _SIZES: Final = tuple(64 * 4**step for step in range(6))
 _LONG_ENOUGH: Final = 0.09
 """s that bytes take beyond the round trip, after which no more are written. They take 0.5 s in all at most, as each
 size is four times the one before."""
-_ANSWERS_WITHIN: Final = 2.0
-"""s, as for the console (`rsb_console.terminal.pulse`)."""
 _LOOK_EVERY: Final = 0.05
 _SLOW: Final = 2_000.0
 """Bytes/s below which a refresh at the usual rates leaves keys little room. A round figure."""
-_MULTIPLEXERS: Final = {"TMUX": "tmux", "STY": "GNU screen", "ZELLIJ": "zellij"}
-_KINDS: Final = {"84": "tmux", "83": "GNU screen", "1;10;0": "mosh"}
-"""By the answer to DA2: `rsb_console.terminal.pulse` has the same ones."""
 
 
 class LineText(Wording):
@@ -99,14 +94,14 @@ def _line(environ: Mapping[str, str]) -> Iterator[Finding]:
 
 def finding(line: Line | None, facts: TerminalFacts, environ: Mapping[str, str]) -> Finding:
     """Return what was found out about a line, or the reason why nothing was, if there is none."""
-    name = _multiplexer(facts.kind, environ)
+    name = multiplexer(facts.kind, environ)
     data: dict[str, Any] = {
         "answers": line is not None, "name": facts.name, "kind": facts.kind, "multiplexer": name,
         "colours": facts.colours, "pixels": facts.pixels, "round_trip": None, "bytes_per_second": None,
     }  # fmt: skip
     found = partial(Finding, "line", subject="operator's line", facts=data)
     if line is None:
-        text = LineText.MUTE(seconds=_ANSWERS_WITHIN)
+        text = LineText.MUTE(seconds=ANSWERS_WITHIN)
         return found(grade=Grade.UNKNOWN, text=text, remedy=LineText.MUTE_REMEDY())
     if name:
         text, remedy = LineText.RELAYED(name=name, facts=facts.line()), LineText.RELAYED_REMEDY(name=name)
@@ -121,12 +116,6 @@ def finding(line: Line | None, facts: TerminalFacts, environ: Mapping[str, str])
     if line.rate is not None and line.rate < _SLOW:
         return found(grade=Grade.NOTE, text=text, remedy=LineText.SLOW())
     return found(grade=Grade.OK, text=text)
-
-
-def _multiplexer(kind: str, environ: Mapping[str, str]) -> str:
-    """Return the name of what answers in a terminal's place, or an empty string."""
-    by_kind = _KINDS.get(kind) or _KINDS.get(kind.partition(";")[0], "")
-    return by_kind or next((name for key, name in _MULTIPLEXERS.items() if environ.get(key)), "")
 
 
 class AskedTerminal:
@@ -177,7 +166,7 @@ class AskedTerminal:
     def _time_of(self, before: bytes) -> float | None:
         """Return the s until a question is answered that stands behind other bytes, or None without an answer."""
         rest, answer, began = before + _QUESTION, b"", self._clock()
-        while self._clock() - began < _ANSWERS_WITHIN:
+        while self._clock() - began < ANSWERS_WITHIN:
             readable, writable, _ = select.select([self._fd], [self._terminal] if rest else [], [], _LOOK_EVERY)
             if writable:
                 rest = rest[self._write(rest) :]
