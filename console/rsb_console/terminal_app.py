@@ -213,6 +213,8 @@ class TerminalApp(App[ReturnType]):
         if sequence and isinstance(self._driver, ConsoleDriver):
             self._driver.write(sequence)
 
+    # --- what screens ask
+
     def tell_problems(self) -> None:
         """Tell what is wrong with the preferences."""
         for title, message in self.preferences.problems:

@@ -151,7 +151,8 @@ class PicturePane(Widget, can_focus=True):
             return
         sequence = self._painter.painted(self._bands, (at.x, at.y), self._covered)
         self.terminal.write_to_terminal(sequence)
-        self._owes, self.image_bytes = False, len(sequence) if self._owes else self.image_bytes
+        if self._owes:
+            self._owes, self.image_bytes = False, len(sequence)
         if self._covered != before:
             self.cover_changed()
 
