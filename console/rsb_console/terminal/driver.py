@@ -232,7 +232,7 @@ class ConsoleDriver(LinuxDriver):
     while that is full. Frames come only while it is empty (`ScreenWriter`); of the rest, what does not fit is dropped.
 
     Attributes:
-        line: what is under way to the terminal.
+        line: the bytes in flight to the terminal.
         losses: number of times that the terminal was cleared.
     """
 

@@ -34,7 +34,7 @@ _JUMP: Final = 6
 _BACK: Final = 3
 """Cells back and one down that are shorter one by one than as a place."""
 _ERASE_TWO, _LAST_OF_PLANE_0 = "\x1b[2X", 0xFFFF
-"""Written before emoji: in a terminal that takes them for narrow, the cell beside would stay."""
+"""Written before emoji: a terminal that takes them for narrow would leave the second cell as it was."""
 FIRST, USUAL, LAST = range(3)
 """What is written before what: what a key may have done, the rest, and pictures."""
 
@@ -54,7 +54,7 @@ class CellLook(NamedTuple):
 
     @property
     def marks_blanks(self) -> bool:
-        """Whether it is seen where no character is, beside the paper."""
+        """Whether more of it than the paper is seen where no character is."""
         return not _SEEN_ON_BLANKS.isdisjoint(self.attributes.split(";"))
 
 
@@ -84,7 +84,7 @@ class CellRun(NamedTuple):
 
 
 class ScreenFrame(NamedTuple):
-    """What brings the terminal nearer to the screen.
+    """A text that brings the terminal nearer to the screen.
 
     Attributes:
         text: to be written, or empty if the terminal lacks nothing.
@@ -137,7 +137,7 @@ class ScreenCells:
             return
         for y, left, right in update.spans:
             for end, (x, strip) in zip(update.chop_ends[y], update.chops[y].items(), strict=False):
-                # Beside the span, it may be of a widget that is below another one.
+                # Outside the span, Textual draws widgets that others cover.
                 if strip is not None and x <= right and end > left:
                     self._put(y, x, (strip if end <= right else strip.crop(0, right - x),))
 
@@ -209,7 +209,7 @@ class _Pen:
 
     @property
     def text(self) -> str:
-        """What was written, which leaves the terminal's own colours."""
+        """The text so far; after it, the terminal has its own colours."""
         return "".join((*self._parts, "\x1b[m")) if self._parts else ""
 
     def write(self, row: Sequence[Cell], run: CellRun) -> int:

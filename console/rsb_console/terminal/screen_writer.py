@@ -61,7 +61,7 @@ class ScreenWriter:
     """Writes the screen of one app to its terminal.
 
     Attributes:
-        line: what is under way to it.
+        line: the bytes in flight to it.
 
     Args:
         pictures: widgets whose content comes after all else.

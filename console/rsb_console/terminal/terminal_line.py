@@ -18,12 +18,12 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 FRAME: Final = 0.15
-"""s of the line that one frame may take. With what may be under way before it, a key's effect waits half as long as a
+"""s of the line that one frame may take. With what may be in flight before it, a key's effect waits half as long as a
 person notices (0.5 s)."""
 _NEXT_AFTER: Final = 0.05
-"""s of the line that may be under way when the next frame is written: enough that it never waits for this program."""
+"""s of the line that may be in flight when the next frame is written: enough that it never waits for this program."""
 _AT_FIRST: Final = 11_520
-"""Bytes/s before anything is known: those of a serial console, 115,200 baud. An answer soon tells of a faster line."""
+"""Bytes/s to begin with: those of a serial console, 115,200 baud. On a faster line, the first answers raise it."""
 _LEAST: Final = 120
 """Bytes that a frame may have over any line: some words."""
 _TELLS: Final = 300
@@ -64,11 +64,11 @@ class _Asked(NamedTuple):
     at: float
     size: int  # bytes since the question before
     due: float
-    alone: bool  # nothing else was under way
+    alone: bool  # nothing else was in flight
 
 
 class TerminalLine:
-    """What is under way to one terminal. Its methods may be called from any thread.
+    """The bytes in flight to one terminal. Its methods may be called from any thread.
 
     Args:
         rate: bytes/s, if they are known from the start, or 0.
@@ -87,8 +87,8 @@ class TerminalLine:
         self._asked: deque[_Asked] = deque()
         self._since_question = self._written = 0
         self._answered_at = self._asked_at = self._wrote_at = float("-inf")
-        self._under_way, self._at = 0.0, clock()
-        """Bytes that the line has not carried yet as far as is known, and when that was."""
+        self._in_flight, self._at = 0.0, clock()
+        """Bytes that the line has not carried yet, by estimate, and when it was made."""
         self._began = self._at
         self._marks: deque[tuple[float, int]] = deque([(self._at, 0)], maxlen=_SECONDS)
         """How much was written until when, a second apart."""
@@ -102,7 +102,7 @@ class TerminalLine:
         with self._lock:
             if not self._carry():
                 self._full_since = None
-            self._under_way += size
+            self._in_flight += size
             self._written += size
             if self._at - self._marks[-1][0] >= 1.0:
                 self._marks.append((self._at, self._written))
@@ -110,11 +110,11 @@ class TerminalLine:
             self._wrote_at = self._at
 
     def asked(self, at: float) -> None:
-        """Note a question of a time (s), which stands behind all that was written."""
+        """Note a question of a time (s), written after all else."""
         with self._lock:
             trip = self._trip or 0.0
             due = self._carry() / self.rate + at + trip + max(_SLACK, trip / 2)
-            alone = not self._asked and self._under_way <= self._since_question
+            alone = not self._asked and self._in_flight <= self._since_question
             self._asked.append(_Asked(at, self._since_question, due, alone))
             while not self.answers and len(self._asked) > _ASKED_AT_MOST:
                 self._asked.popleft()
@@ -134,7 +134,7 @@ class TerminalLine:
             self._learn(size, self._at - max(asked_at + self._trip, self._answered_at))
             self._answered_at = self._at
             # What was written before the question has arrived; of the rest, what a round trip carries does not wait.
-            self._under_way = max(0.0, self._not_answered - self._trip * self.rate)
+            self._in_flight = max(0.0, self._not_answered - self._trip * self.rate)
 
     def waited(self, size: int, seconds: float) -> None:
         """Note that the kernel let a write wait: its buffer is full, and only the line empties it."""
@@ -146,7 +146,7 @@ class TerminalLine:
                 found = min(size / seconds, self.per_second)
                 self.rate = min(self.rate, max(found, self.rate / _MUCH))
                 at_first = self._written - self.rate * (self._at - self._began)
-                self._under_way = self._kernels = max(self._kernels, self._under_way, at_first)
+                self._in_flight = self._kernels = max(self._kernels, self._in_flight, at_first)
 
     def _learn(self, size: int, seconds: float) -> None:
         found = size / max(seconds, _AT_ONCE)
@@ -158,8 +158,8 @@ class TerminalLine:
     def _carry(self) -> float:
         """Have the line carry what it can until now, and return the bytes that are left."""
         before, self._at = self._at, self._clock()
-        self._under_way = max(0.0, self._under_way - (self._at - before) * self.rate)
-        return self._under_way
+        self._in_flight = max(0.0, self._in_flight - (self._at - before) * self.rate)
+        return self._in_flight
 
     # --- what is asked
 
