@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 from sensor_msgs.msg import Image
-from tests.console.driving import WIDE, on_main, put, shown, text, until
+from tests.console.driving import WIDE, on_main, put, shown, until
 from tests.console.scripted import route
 from tests.support import replaced
 from textual.geometry import Offset, Region
