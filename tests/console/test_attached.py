@@ -192,14 +192,12 @@ def test_attaching_in_a_terminal(pair: Pair, headless: list[Forked], tmp_path: P
         tmux.agree(OperationText.RESUME(topic=CHATTER))  # behind tmux, a key may have come late
         tmux.wait_for("◇ UNHEARD")
         tmux("send-keys", "q")
-        tmux.wait_for("The bridge robot1 goes on")
-        tmux("send-keys", "y")
+        tmux.agree("The bridge robot1 goes on")
         tmux.wait_for("Topics", there=False)
         assert headless[-1].poll() is None
 
         tmux("send-keys", f"{COMMAND} run {pair.client_path}", "Enter")
-        tmux.wait_for(SessionQuestion.ALREADY_RUNS(name="robot1"))
-        tmux("send-keys", "y")
+        tmux.agree(SessionQuestion.ALREADY_RUNS(name="robot1"))
         tmux.wait_for("◇ UNHEARD")
 
         headless[-1].send_signal(signal.SIGKILL)
@@ -210,8 +208,7 @@ def test_attaching_in_a_terminal(pair: Pair, headless: list[Forked], tmp_path: P
         tmux.wait_for("● LINKED")
         tmux.wait_for("◇ UNHEARD")
         tmux("send-keys", "q")
-        tmux.wait_for("The bridge robot1 goes on")
-        tmux("send-keys", "y")
+        tmux.agree("The bridge robot1 goes on")
         tmux.wait_for("Topics", there=False)
 
         tmux("send-keys", f"{COMMAND}", "Enter")

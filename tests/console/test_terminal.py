@@ -123,7 +123,7 @@ class FarSide:
         end(self.process)
 
     def lines(self) -> list[dict[str, Any]]:
-        return [json.loads(line) for line in self.log.read_text().splitlines() if line.endswith("}")]
+        return [json.loads(line) for line in self.log.read_text().splitlines(keepends=True) if line.endswith("}\n")]
 
     def assert_flowing(self, seconds: float = 120.0) -> None:
         """The topic flows on: between two statuses from now, something has been delivered."""

@@ -46,11 +46,12 @@ class Tmux:
         """Answer a question with Yes once its keys count; a key that comes late on a busy machine is ignored."""
         self.wait_for(question)
         deadline = time.monotonic() + 120
-        while question in self.picture:
-            assert time.monotonic() < deadline, f"{question!r} stays:\n{self.picture}"
-            if "y yes" in self.picture:
-                self("send-keys", "y")
-            time.sleep(0.5)
+        with contextlib.suppress(subprocess.CalledProcessError):  # tmux ends with the program that it runs
+            while question in (picture := self.picture):
+                assert time.monotonic() < deadline, f"{question!r} stays:\n{picture}"
+                if "y yes" in picture:
+                    self("send-keys", "y")
+                time.sleep(0.5)
 
     def _what_it_does(self) -> str:
         """Return the state of the program's processes, and end them with their threads' stacks, if they are Python's.

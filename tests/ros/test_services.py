@@ -11,6 +11,7 @@ from nav_msgs.srv import GetPlan
 from rclpy.serialization import deserialize_message, serialize_message
 from std_srvs.srv import SetBool
 from tests.support.waiting import eventually
+from type_description_interfaces.srv import GetTypeDescription
 
 from rsb_bridge.ros.ros_interface import RosError
 
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 
 PLAN = "nav_msgs/srv/GetPlan"
 SET = "std_srvs/srv/SetBool"
+DESCRIBE = "type_description_interfaces/srv/GetTypeDescription"
 ANSWER = serialize_message(SetBool.Response())
 
 
@@ -115,6 +117,35 @@ def test_answer_behind_another_clients_is_taken(open_node: Callable[..., RosNode
     eventually(lambda: len(others) == 2, what="the answers have come")
     may_look.set()
     eventually(lambda: answers, what="our answer")
+
+
+def test_description_behind_another_clients_is_taken(open_node: Callable[..., RosNode]) -> None:
+    """Another client's answer comes before each of ours."""
+    provider, caller, another = open_node(name="provider"), open_node(name="caller"), open_node(name="another")
+    odd = "odd_msgs/msg/Odd"
+    description = GetTypeDescription.Response(successful=True)
+    description.type_description.type_description.type_name = odd
+    held, others = list[Any](), list[Any]()
+
+    def hold_theirs(batch: Any) -> None:
+        for request in batch:
+            held.append(request)
+            if deserialize_message(request.payload, GetTypeDescription.Request).type_name == odd:
+                for each in held:
+                    server.answer(each.caller, serialize_message(description))
+                held.clear()
+
+    server = provider.serve("/described/get_type_description", DESCRIBE, "", hold_theirs)
+    theirs = another.call_service("/described/get_type_description", DESCRIBE, "", others.extend)
+    eventually(lambda: theirs.ready)
+
+    def ask() -> str | None:
+        theirs.call(serialize_message(GetTypeDescription.Request()))
+        eventually(lambda: held)
+        return caller.ask_description("/described", odd, "", lambda: True)
+
+    assert odd in eventually(ask, what="our description")
+    assert others
 
 
 def test_invalid_messages_of_peer_are_refused_or_unread(

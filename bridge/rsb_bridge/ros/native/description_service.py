@@ -9,7 +9,7 @@ from rclpy.type_support import check_for_type_support
 
 from rsb_bridge.cdr.description import DESCRIPTION_LIMIT, TypeDescription, text_of
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.ros.native.rclpy_extension import wait_set
+from rsb_bridge.ros.native.rclpy_extension import UntakenResponses
 from rsb_bridge.ros.native.rosidl_descriptions import message_type
 
 if TYPE_CHECKING:
@@ -59,8 +59,7 @@ def ask_node(
     check_for_type_support(GetTypeDescription)  # which the extension module takes for loaded
     with entities:
         entity = own.create("client", GetTypeDescription, f"{node}/get_type_description", _QOS)
-    # A wait set of its own: the other one belongs to the ROS thread.
-    client, waits = entity.rclpy, wait_set(context, clients=1)
+    client, untaken = entity.rclpy, UntakenResponses(context)
     try:
         deadline = time.monotonic() + _SERVED_WITHIN
         # A request to a server that DDS has not matched yet is lost.
@@ -71,21 +70,19 @@ def ask_node(
         client.send_request(GetTypeDescription.Request(type_name=type_name, type_hash=type_hash))
         deadline = time.monotonic() + _ANSWERED_WITHIN
         while time.monotonic() < deadline and still_wanted():
-            waits.clear_entities()
-            waits.add_client(client)
-            waits.wait(_SLICE_NS)
-            if waits.get_ready_entities("client"):
+            if untaken.wait(client, _SLICE_NS):
                 _, answer = client.take_response(GetTypeDescription.Response)
-                return _answered(answer)
+                if answer is not None:  # else it was another client's
+                    return _answered(answer)
     finally:
-        waits.destroy_when_not_in_use()
+        untaken.close()
         with entities:
             entity.destroy()
     return None
 
 
 def _answered(answer: Any) -> str | None:
-    if answer is None or not answer.successful:
+    if not answer.successful:
         return None
     described = answer.type_description
     types = (described.type_description, *described.referenced_type_descriptions)

@@ -83,7 +83,7 @@ def guard_condition(context: Context) -> Any:
 
 
 class UntakenResponses:
-    """Asks whether DDS holds responses that were not taken, by a wait set that does not wait. For one thread."""
+    """Asks whether DDS holds responses that were not taken, by a wait set. For one thread."""
 
     def __init__(self, context: Context) -> None:
         self._waits = wait_set(context, guards=1, clients=1)
@@ -97,10 +97,18 @@ class UntakenResponses:
         """
         # Where nothing is ready, rmw_fastrtps takes 80 µs to wait for 0 s, and else 1 µs.
         self._no_wait.trigger_guard_condition()
+        return self.wait(client, 0)
+
+    def wait(self, client: Any, longest_ns: int) -> bool:
+        """Wait until DDS holds some for a client, and return whether it does.
+
+        Raises:
+            RuntimeError: rcl refused it.
+        """
         self._waits.clear_entities()
         self._waits.add_guard_condition(self._no_wait)
         self._waits.add_client(client)
-        self._waits.wait(0)
+        self._waits.wait(longest_ns)
         return bool(self._waits.get_ready_entities("client"))
 
     def close(self) -> None:

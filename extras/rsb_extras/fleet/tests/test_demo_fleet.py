@@ -129,9 +129,7 @@ def test_screen_opens_leads_to_robot_and_back(tmp_path: Path, temporary: Path) -
         tmux("send-keys", "q")
         tmux.wait_for("1 of 3", WITHIN)
         tmux("send-keys", "q")
-        tmux.wait_for("Quit?")
-        tmux.wait_for("y yes")  # its keys count
-        tmux("send-keys", "y")
+        tmux.agree("Quit?")
         eventually(lambda: not running(started), WITHIN, "the end of all processes")
     assert [*temporary.iterdir()] == []
 

@@ -33,6 +33,7 @@ from tests.model.test_robot_summary import a, on_server
 from tests.support import surroundings
 from tests.support.fleet import ServerEngine, robot, topics
 from tests.support.long import long
+from tests.support.waiting import eventually
 from textual.pilot import Pilot
 from textual.widgets import Input
 
@@ -662,15 +663,19 @@ def test_in_a_terminal(machine: Machine, tmp_path: Path, monkeypatch: pytest.Mon
     )
     with Tmux(tmp_path, "sh", "-c", command, size=NARROW) as tmux:
         tmux.wait_for("2 ● ok")
-        assert tmux.title == "fleet"
+        eventually(lambda: tmux.title == "fleet")
         tmux("send-keys", "j", "Enter")
         tmux.wait_for("/robot2/scan")
         assert "/robot1/scan" not in tmux.picture
-        assert tmux.title != "fleet"
+        eventually(lambda: tmux.title != "fleet")
         tmux("send-keys", "p")
+        eventually(lambda: [command[:1] for command in engine.commands] == [("pause",)])
         tmux("send-keys", "q")
         tmux.wait_for("2 ● ok")
-        assert [command[:1] for command in engine.commands] == [("pause",)]
-        tmux("send-keys", "q", "Enter")  # the focus is on No
-        tmux("send-keys", "q", "y")
+        tmux("send-keys", "q")
+        tmux.wait_for("y yes")
+        tmux("send-keys", "Enter")  # the focus is on No
+        tmux.wait_for("y yes", there=False)
+        tmux("send-keys", "q")
+        tmux.agree("Quit?")
         tmux.wait_for("2 ● ok", there=False)
