@@ -214,6 +214,17 @@ def test_frame_goes_on_where_last_one_ended() -> None:
     assert rows == set(range(SIZE.height))
 
 
+def test_place_where_a_picture_was_cut_does_not_move_what_comes_first() -> None:
+    ours = screen_cells()
+    ours.next(INF)
+    ranks = (Region(0, 0, 8, SIZE.height), FIRST), (Region(8, 0, 16, SIZE.height), LAST)
+    drawn(ours, *((y, 8, "x" * 16, PLAIN) for y in range(SIZE.height)))
+    while ours.next(8, ranks).spans[0][0] < 3:
+        pass
+    drawn(ours, *((y, 0, "a text", PLAIN) for y in range(SIZE.height)))
+    assert ours.next(8, ranks).spans[0][:2] == (0, 0)
+
+
 @pytest.mark.parametrize("another", [SIZE, Size(30, 6)])
 def test_all_is_written_again_to_a_terminal_that_lost_it(another: Size) -> None:
     ours = screen_cells()

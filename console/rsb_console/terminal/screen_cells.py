@@ -37,6 +37,8 @@ _ERASE_TWO, _LAST_OF_PLANE_0 = "\x1b[2X", 0xFFFF
 """Written before emoji: a terminal that takes them for narrow would leave the second cell as it was."""
 FIRST, USUAL, LAST = range(3)
 """What is written before what: what a key may have done, the rest, and pictures."""
+_TOP: Final = (FIRST, 0, 0)
+"""The rank, row and column with which a frame begins, unless the one before was cut short."""
 
 
 class CellLook(NamedTuple):
@@ -114,8 +116,8 @@ class ScreenCells:
         self._wanted: list[list[Cell]] = []
         self._shown: list[list[Cell | None]] = []
         self._changed: set[int] = set()
-        self._begin_at = (0, 0)
-        """The row and column with which the next frame begins: where the last one ended, if it was cut short."""
+        self._begin_at = _TOP
+        """The rank, row and column with which the next frame begins: where the last one ended, if it was cut short."""
         self._look: CellLook | None = None
         """The look in which the last frame left the terminal, or None if it may have another one."""
 
@@ -125,7 +127,7 @@ class ScreenCells:
             self._wanted = [[_blank(_OWN)] * size.width for _ in range(size.height)]
             self._shown = [[None] * size.width for _ in range(size.height)]
             self._changed = set(range(size.height))
-            self._begin_at = (0, 0)
+            self._begin_at = _TOP
 
     def forget(self, region: Region | None = None) -> None:
         """Note that the terminal may show anything in any look, or that a region may show anything."""
@@ -187,9 +189,9 @@ class ScreenCells:
             if written > run.left:
                 spans.append((run.row, run.left, written))
             if written < run.right:
-                self._begin_at = run.row, written
+                self._begin_at = run.rank, run.row, written
                 return ScreenFrame(pen.text, spans, run.rank)
-        self._begin_at = (0, 0)
+        self._begin_at = _TOP
         self._changed.clear()
         return ScreenFrame(pen.text, spans, None)
 
@@ -201,17 +203,20 @@ class ScreenCells:
         """
         looks = [*dict.fromkeys((self._look, *(run.look for run in runs if run.rank != LAST)))]
         size = sum(run.right - run.left + _PLACE for run in runs) + _LOOK * len(looks)
-        if self._begin_at == (0, 0) and size <= most:
+        if self._begin_at == _TOP and size <= most:
             places = {look: place for place, look in enumerate(looks)}
             return sorted(
                 runs, key=lambda run: (len(looks) if run.rank == LAST else places[run.look], run.row, run.left)
             )
-        return sorted(runs, key=lambda run: (run.rank, (run.row, run.left) < self._begin_at, run.row, run.left))
+        return sorted(
+            runs, key=lambda run: (run.rank, (run.rank, run.row, run.left) < self._begin_at, run.row, run.left)
+        )
 
     def _runs(self, ranks: Sequence[tuple[Region, int]]) -> Iterator[CellRun]:
         for y in self._changed:
             wanted, shown = self._wanted[y], self._shown[y]
-            edges = {0, len(wanted), *([self._begin_at[1]] if y == self._begin_at[0] else [])}
+            _, row, column = self._begin_at
+            edges = {0, len(wanted), *([column] if y == row else [])}
             for left, right, rank in _ranked(y, edges, ranks):
                 for begin, end, look in _differing(wanted, shown, left, right, mixed=rank == LAST):
                     yield CellRun(rank, y, begin, end, look)
