@@ -137,6 +137,19 @@ def test_nothing_is_left_beside_emoji_that_terminal_takes_for_narrow() -> None:
     assert [emulator.screen.buffer[0][x].data for x in range(1, 4)] == [" ", "c", "d"]
 
 
+def test_cells_beside_an_emoji_are_kept_where_its_skin_tone_is_drawn_beside_it() -> None:
+    """As tmux does."""
+    ours, emulator = screen_cells(), Emulator()
+    drawn(ours, (0, 0, "abcdefghij", PLAIN))
+    emulator.take(ours.next(INF).text)
+    drawn(ours, (0, 1, "👍\U0001f3fd👍\U0001f3fd", PLAIN), (0, 8, "IJ", BOLD))
+    lacks: int | None = USUAL
+    while lacks is not None:
+        text, _, lacks = ours.next(INF)
+        emulator.take(text)
+    assert emulator.screen.display[0].rstrip() == "a👍👍fghIJ"
+
+
 def test_only_cells_that_differ_are_written() -> None:
     ours = screen_cells()
     drawn(ours, (1, 0, "12.5 Hz", COLOURED))

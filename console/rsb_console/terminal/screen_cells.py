@@ -12,7 +12,7 @@ from functools import lru_cache
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from rich.cells import split_graphemes
+from rich.cells import get_character_cell_size, split_graphemes
 from textual._compositor import ChopsUpdate, LayoutUpdate
 from textual.geometry import Region
 
@@ -181,19 +181,22 @@ class ScreenCells:
         """
         self._changed = {y for y in self._changed if self._wanted[y] != self._shown[y]}
 
-        pen, spans = _Pen(most, self._look), []
+        pen, spans, doubted = _Pen(most, self._look), [], set()
         for run in self._in_order([*self._runs(ranks)], most):
             written = pen.write(self._wanted[run.row], run)
             self._look = pen.look
-            self._shown[run.row][run.left : written] = self._wanted[run.row][run.left : written]
+            self._shown[run.row][run.left : written] = cells = self._wanted[run.row][run.left : written]
+            if (more := _more_cells(cells)) and written < len(self._wanted[run.row]):
+                self.forget(Region(written, run.row, more, 1))
+                doubted.add(run.row)
             if written > run.left:
                 spans.append((run.row, run.left, written))
             if written < run.right:
                 self._begin_at = run.rank, run.row, written
                 return ScreenFrame(pen.text, spans, run.rank)
         self._begin_at = _TOP
-        self._changed.clear()
-        return ScreenFrame(pen.text, spans, None)
+        self._changed = doubted
+        return ScreenFrame(pen.text, spans, USUAL if doubted else None)
 
     def _in_order(self, runs: list[CellRun], most: float) -> list[CellRun]:
         """Sort runs by rank from where the last frame ended, or look by look if they fit into one frame.
@@ -349,6 +352,12 @@ def _common(one: CellLook, other: CellLook) -> CellLook | None:
     return None if inked.marks_blanks else inked
 
 
+def _more_cells(cells: Sequence[Cell]) -> int:
+    """Return how many cells behind some a terminal may have written, too: tmux draws a skin tone beside its emoji."""
+    last = next((text for text, _ in reversed(cells) if text), "")
+    return 2 * max(0, len(last) - 1)
+
+
 def _blank(look: CellLook) -> Cell:
     return Cell(" ", look if look.marks_blanks else CellLook("", "", look.paper))
 
@@ -356,7 +365,7 @@ def _blank(look: CellLook) -> Cell:
 @lru_cache(maxsize=8192)
 def _cells(text: str, look: CellLook) -> tuple[Cell, ...]:
     space = _blank(look)
-    if text.isascii():
+    if text.isascii() or all(get_character_cell_size(char) == 1 for char in text):
         return tuple(space if char == " " else Cell(char, look) for char in text)
     cells: list[Cell] = []
     for start, end, width in split_graphemes(text)[0]:
