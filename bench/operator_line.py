@@ -50,6 +50,8 @@ REST = 10.0
 _SETTLES = 3.0
 _FULL_AFTER, _QUIET_AFTER = 6.0, 1.0
 """s before a key, with a limit and without: what is written into a full line waits by then."""
+_SLOW_AFTER = 15.0
+"""s from the limit on, until what was written to the fast line before has left."""
 _TRIES, _AGAIN_AFTER = 10, 2.0
 """Presses of a key that may come too early to count, and s until the next one."""
 _PATHS = tuple(product((0.06, 0.2), (0.0, 0.05)))
@@ -175,15 +177,15 @@ def _press_all(terminal: SlowTerminal, scene: Scene, within: float, rate: float 
 
     def press(key: str, shows: Shows, *, held: bool = False) -> None:
         nonlocal pressed
-        terminal.rate = rate
         time.sleep(_QUIET_AFTER if rate is None else _FULL_AFTER)
         took[KEYS[pressed]].append(terminal.key_to_screen(key, shows, within, held=held))
         pressed += 1
-        terminal.rate = None
         if not held:
             terminal.until(shows)
 
     _open(terminal, scene)
+    terminal.rate = rate
+    time.sleep(0.0 if rate is None else _SLOW_AFTER)
     try:
         press("?", _has(_HELP, without=scene.last))
         press("q", _has(scene.last, without=_HELP))

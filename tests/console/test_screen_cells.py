@@ -101,7 +101,7 @@ def test_only_spans_of_an_update_are_taken() -> None:
     ours.next(INF)
     row = {0: Strip([Segment("BELOW" * 2)]), 10: Strip([Segment("BELOW" * 2)])}
     ours.draw(ChopsUpdate([{}, row], [(1, 0, 5)], [[], [10, 20]]))
-    assert ours.next(INF).text == "\x1b[2HBELOW\x1b[m"
+    assert ours.next(INF).text == "\x1b[2H\x1b[mBELOW"
 
 
 def test_region_is_written_again() -> None:
@@ -137,13 +137,26 @@ def test_nothing_is_left_beside_emoji_that_terminal_takes_for_narrow() -> None:
     assert [emulator.screen.buffer[0][x].data for x in range(1, 4)] == [" ", "c", "d"]
 
 
+def test_cells_beside_an_emoji_are_kept_where_its_skin_tone_is_drawn_beside_it() -> None:
+    """As tmux does."""
+    ours, emulator = screen_cells(), Emulator()
+    drawn(ours, (0, 0, "abcdefghij", PLAIN))
+    emulator.take(ours.next(INF).text)
+    drawn(ours, (0, 1, "👍\U0001f3fd👍\U0001f3fd", PLAIN), (0, 8, "IJ", BOLD))
+    lacks: int | None = USUAL
+    while lacks is not None:
+        text, _, lacks = ours.next(INF)
+        emulator.take(text)
+    assert emulator.screen.display[0].rstrip() == "a👍👍fghIJ"
+
+
 def test_only_cells_that_differ_are_written() -> None:
     ours = screen_cells()
     drawn(ours, (1, 0, "12.5 Hz", COLOURED))
     assert "12.5 Hz" in ours.next(INF).text
     drawn(ours, (1, 0, "12.6 Hz", COLOURED))
     frame = ours.next(INF)
-    assert frame.text == "\x1b[2;4H\x1b[38;2;32;64;96;48;2;160;176;192m6\x1b[m"
+    assert frame.text == "\x1b[2;4H6"
     assert frame.spans == [(1, 3, 4)]
     drawn(ours, (1, 0, "12.6 Hz", COLOURED))
     assert ours.next(INF).text == ""
@@ -160,9 +173,34 @@ def test_smaller_screen_after_a_frame_that_was_cut_short_is_written() -> None:
 
 def test_looks_are_said_once() -> None:
     ours = screen_cells()
+    drawn(ours, *((y, 0, "--", PLAIN) for y in range(SIZE.height)))
     ours.next(INF)
     drawn(ours, (0, 0, "a", BOLD), (0, 1, " ", PLAIN), (0, 2, "b", BOLD), (0, 3, "c", PLAIN))
-    assert ours.next(INF).text == "\x1b[1H\x1b[1ma b\x1b[mc\x1b[m"
+    assert ours.next(INF).text == "\x1b[1;4Hc\b\b\b\b\x1b[1ma b"
+    drawn(ours, *((y, 0, "x", BOLD) for y in (1, 3)), *((y, 1, "y", PLAIN) for y in (1, 3)))
+    assert ours.next(INF).text == "\x1b[2Hx\x1b[4Hx\x1b[2;2H\x1b[my\b\x1b[2By"
+
+
+def test_look_is_said_again_to_a_terminal_that_may_have_another() -> None:
+    ours = screen_cells()
+    drawn(ours, (0, 0, "a", COLOURED))
+    ours.next(INF)
+    drawn(ours, (0, 0, "b", COLOURED))
+    ours.next(INF)
+    ours.forget(Region(0, 0, 1, 1))
+    assert ours.next(INF).text == "\x1b[1Hb"
+    ours.forget()
+    emulator = Emulator()
+    emulator.take("\x1b[1;4;31m" + ours.next(INF).text)
+    assert emulator.cells[0][0] == ("b", "a0b0c0", False, False, "204060", False)
+
+
+def test_what_fits_is_written_look_by_look_and_pictures_last() -> None:
+    ours, picture = screen_cells(), Region(0, 0, SIZE.width, 1)
+    ours.next(INF)
+    drawn(ours, *((y, 0, "ab", BOLD) for y in range(3)), *((y, 2, "c", PLAIN) for y in range(3)))
+    spans = ours.next(INF, [(picture, LAST)]).spans
+    assert spans == [(1, 2, 3), (2, 2, 3), (1, 0, 2), (2, 0, 2), (0, 0, 3)]
 
 
 def test_most_important_comes_first() -> None:
@@ -187,6 +225,17 @@ def test_frame_goes_on_where_last_one_ended() -> None:
         drawn(ours, *((y, 0, str(turn % 10) * 10, PLAIN) for y in range(SIZE.height)))
         rows |= {y for y, *_ in ours.next(12).spans}
     assert rows == set(range(SIZE.height))
+
+
+def test_place_where_a_picture_was_cut_does_not_move_what_comes_first() -> None:
+    ours = screen_cells()
+    ours.next(INF)
+    ranks = (Region(0, 0, 8, SIZE.height), FIRST), (Region(8, 0, 16, SIZE.height), LAST)
+    drawn(ours, *((y, 8, "x" * 16, PLAIN) for y in range(SIZE.height)))
+    while ours.next(8, ranks).spans[0][0] < 3:
+        pass
+    drawn(ours, *((y, 0, "a text", PLAIN) for y in range(SIZE.height)))
+    assert ours.next(8, ranks).spans[0][:2] == (0, 0)
 
 
 @pytest.mark.parametrize("another", [SIZE, Size(30, 6)])

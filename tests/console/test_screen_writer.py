@@ -13,7 +13,7 @@ from textual.geometry import Region
 from textual.screen import ModalScreen
 from textual.widgets import Static
 
-from rsb_console.terminal.screen_cells import FIRST, LAST
+from rsb_console.terminal.screen_cells import FIRST, LAST, USUAL
 from rsb_console.terminal.screen_writer import ScreenWriter
 from rsb_console.terminal.terminal_line import TerminalLine
 
@@ -43,8 +43,8 @@ async def test_boxes_come_before_pictures_below_them_and_after_their_own(app: Co
     picture, picture_above = below.query_one("#box"), above.query_one("#box")
     driver: Any = SimpleNamespace(line=TerminalLine(), losses=0)
     for shown, expected in (
-        ([picture], [(picture_above, FIRST), (picture, LAST), (picture, FIRST)]),
-        ([picture_above], [(picture_above, LAST), (picture_above, FIRST), (picture, FIRST)]),
+        ([picture], [(picture_above, FIRST), (picture, LAST), (picture, USUAL)]),
+        ([picture_above], [(picture_above, LAST), (picture_above, FIRST), (picture, USUAL)]),
     ):
         writer = ScreenWriter(app, driver, ColorSystem.TRUECOLOR, shown, lambda _: None)
         *ranks, header = writer._ranks()

@@ -29,7 +29,8 @@ from rsb_console.notation.ascii_signs import prefers_ascii
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
 CHATTER = f"/console_{os.getpid()}/terminal"
-LEFT = b"\x1b[?1049l"  # the alternate screen is left (xterm's control sequences, DECRST 1049)
+LEFT, OWN_COLOURS = b"\x1b[?1049l", b"\x1b[m"
+"""The alternate screen is left (xterm's control sequences, DECRST 1049), and colours are the terminal's (ECMA-48)."""
 CRASHING = """
 import sys
 from pathlib import Path
@@ -152,9 +153,13 @@ def test_signal_ends_it_cleanly_and_restores_terminal(pair: Pair, tmp_path: Path
         terminal.wait_for("LINKED")
         terminal.kill(number)
         assert terminal.exit_code() == 0
-        assert LEFT in terminal.output
+        assert_left(terminal)
         assert b"Traceback" not in terminal.output
         assert_told(far)
+
+
+def assert_left(terminal: Terminal) -> None:
+    assert OWN_COLOURS in terminal.output.partition(LEFT)[2]
 
 
 def assert_told(far: FarSide) -> None:
@@ -330,7 +335,7 @@ def test_crash_of_console_leaves_bridge_running(pair: Pair, tmp_path: Path) -> N
             terminal.wait_for("LINKED")
             terminal.type("t")
             terminal.wait_for("the console has crashed")
-            assert LEFT in terminal.output
+            assert_left(terminal)
             assert b"Traceback" not in terminal.output
             far.assert_flowing()
             terminal.kill(signal.SIGTERM)

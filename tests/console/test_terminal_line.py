@@ -49,6 +49,16 @@ class Way:
             if self.answers:
                 heapq.heappush(self._answers, (self.carries_until + self.trip, next(self._order), self.now))
 
+    def change_to(self, rate: float) -> None:
+        """Carry what is under way and all after it at another rate."""
+        times = self.rate / rate
+
+        def later(at: float) -> float:
+            return self.now + max(0.0, at - self.now) * times
+
+        self.carries_until, self.rate = later(self.carries_until), rate
+        self._answers = [(later(at - self.trip) + self.trip, *rest) for at, *rest in self._answers]  # type: ignore[misc]
+
     def go_on(self, seconds: float) -> None:
         until = self.now + seconds
         while self.now < until:
@@ -125,6 +135,19 @@ def test_line_that_becomes_faster_is_used() -> None:
     way.play(5.0, 200_000)
     carried, _ = way.play(10.0, 200_000)
     assert carried > 60_000
+
+
+@pytest.mark.parametrize("trip", [0.0, 0.06, 0.3])
+def test_line_that_becomes_much_slower_is_late_until_it_is_empty(trip: float) -> None:
+    way = Way(150_000, trip)
+    way.play(10.0, 300_000)
+    way.change_to(1_920)
+    way.play(1.0, 300_000)
+    way.play(way.late + 3.0, 300_000)
+    assert way.late < 2.0 * FRAME
+    carried, latest = way.play(10.0, 300_000)
+    assert latest < 2.5 * FRAME
+    assert carried > 0.6 * way.rate
 
 
 def test_terminal_that_answers_no_longer_is_one_without_answers() -> None:

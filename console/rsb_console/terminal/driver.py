@@ -42,6 +42,7 @@ if TYPE_CHECKING:
 _ESCAPE = "\x1b"
 _CONTINUES_ESCAPE = "[Obf\x7f"  # begins a sequence, or is a word's key of line editing
 _KEEP_TITLE, _GIVE_TITLE_BACK = "\x1b[22;0t", "\x1b[23;0t"
+_OWN_COLOURS = "\x1b[m"
 _KIND, _FACT = "<terminal-kind>", "<terminal-fact>"
 _REDRAW = "ctrl+l"
 """What dtach types where a terminal is attached to it."""
@@ -342,6 +343,7 @@ class ConsoleDriver(LinuxDriver):
         if self._has_title:
             self.write(_GIVE_TITLE_BACK)
         super().stop_application_mode()
+        self.write(_OWN_COLOURS)  # last, as a frame leaves the terminal in the look of its end
 
     def entitle(self, title: str) -> None:
         """Set the terminal's title, if it can have one."""

@@ -12,7 +12,7 @@ from functools import lru_cache
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from rich.cells import split_graphemes
+from rich.cells import get_character_cell_size, split_graphemes
 from textual._compositor import ChopsUpdate, LayoutUpdate
 from textual.geometry import Region
 
@@ -31,12 +31,14 @@ _SEEN_ON_BLANKS: Final = frozenset({"4", "7", "9", "21", "51", "52", "53"})
 _OWN_INK, _OWN_PAPER = "39", "49"
 _JUMP: Final = 6
 """Cells that are written again rather than jumped over: a sequence that jumps is as long."""
-_BACK: Final = 3
-"""Cells back and one down that are shorter one by one than as a place."""
+_PLACE, _LOOK = 8, 38
+"""Bytes of a sequence that gives a place, and of one that gives two colours of 24 bits."""
 _ERASE_TWO, _LAST_OF_PLANE_0 = "\x1b[2X", 0xFFFF
 """Written before emoji: a terminal that takes them for narrow would leave the second cell as it was."""
 FIRST, USUAL, LAST = range(3)
 """What is written before what: what a key may have done, the rest, and pictures."""
+_TOP: Final = (FIRST, 0, 0)
+"""The rank, row and column with which a frame begins, unless the one before was cut short."""
 
 
 class CellLook(NamedTuple):
@@ -75,12 +77,17 @@ class Cell(NamedTuple):
 
 
 class CellRun(NamedTuple):
-    """Neighbouring cells in one row, in which the terminal lacks something."""
+    """Neighbouring cells in one row, in which the terminal lacks something.
+
+    Attributes:
+        look: of all of them; of a picture's, only the last one's.
+    """
 
     rank: int
     row: int
     left: int
     right: int
+    look: CellLook
 
 
 class ScreenFrame(NamedTuple):
@@ -89,7 +96,7 @@ class ScreenFrame(NamedTuple):
     Attributes:
         text: to be written, or empty if the terminal lacks nothing.
         spans: where it writes: row, first column, and the column behind the last one.
-        lacks: the rank of the first thing that the terminal lacks after it, or None.
+        lacks: the rank of what comes next, or None if the terminal lacks nothing after it.
     """
 
     text: str
@@ -109,8 +116,10 @@ class ScreenCells:
         self._wanted: list[list[Cell]] = []
         self._shown: list[list[Cell | None]] = []
         self._changed: set[int] = set()
-        self._begin_at = (0, 0)
-        """The row and column with which the next frame begins: where the last one ended, if it was cut short."""
+        self._begin_at = _TOP
+        """The rank, row and column with which the next frame begins: where the last one ended, if it was cut short."""
+        self._look: CellLook | None = None
+        """The look in which the last frame left the terminal, or None if it may have another one."""
 
     def resize(self, size: Size) -> None:
         """Take the screen's size; what the terminal has in another size is not known."""
@@ -118,10 +127,12 @@ class ScreenCells:
             self._wanted = [[_blank(_OWN)] * size.width for _ in range(size.height)]
             self._shown = [[None] * size.width for _ in range(size.height)]
             self._changed = set(range(size.height))
-            self._begin_at = (0, 0)
+            self._begin_at = _TOP
 
     def forget(self, region: Region | None = None) -> None:
-        """Note that the terminal may show anything, or does so in a region."""
+        """Note that the terminal may show anything in any look, or that a region may show anything."""
+        if region is None:
+            self._look = None
         region = region or Region(0, 0, len(self._wanted[0]) if self._wanted else 0, len(self._wanted))
         for y in region.line_range:
             if y < len(self._shown):
@@ -170,47 +181,68 @@ class ScreenCells:
         """
         self._changed = {y for y in self._changed if self._wanted[y] != self._shown[y]}
 
-        def in_order(run: CellRun) -> tuple[int, bool, int, int]:
-            return run.rank, (run.row, run.left) < self._begin_at, run.row, run.left
-
-        runs = sorted(self._runs(ranks), key=in_order)
-        pen, spans = _Pen(most), []
-        for run in runs:
+        pen, spans, doubted = _Pen(most, self._look), [], set()
+        for run in self._in_order([*self._runs(ranks)], most):
             written = pen.write(self._wanted[run.row], run)
-            self._shown[run.row][run.left : written] = self._wanted[run.row][run.left : written]
+            self._look = pen.look
+            self._shown[run.row][run.left : written] = cells = self._wanted[run.row][run.left : written]
+            if (more := _more_cells(cells)) and written < len(self._wanted[run.row]):
+                self.forget(Region(written, run.row, more, 1))
+                doubted.add(run.row)
             if written > run.left:
                 spans.append((run.row, run.left, written))
             if written < run.right:
-                self._begin_at = run.row, written
+                self._begin_at = run.rank, run.row, written
                 return ScreenFrame(pen.text, spans, run.rank)
-        self._begin_at = (0, 0)
-        self._changed.clear()
-        return ScreenFrame(pen.text, spans, None)
+        self._begin_at = _TOP
+        self._changed = doubted
+        return ScreenFrame(pen.text, spans, USUAL if doubted else None)
+
+    def _in_order(self, runs: list[CellRun], most: float) -> list[CellRun]:
+        """Sort runs by rank from where the last frame ended, or look by look if they fit into one frame.
+
+        A row of a table has several looks, and a column one: a sequence that gives colours is longer than one that
+        moves. Pictures stay behind all else, row by row, as cells of theirs rarely share a look.
+        """
+        looks = [*dict.fromkeys((self._look, *(run.look for run in runs if run.rank != LAST)))]
+        size = sum(run.right - run.left + _PLACE for run in runs) + _LOOK * len(looks)
+        if self._begin_at == _TOP and size <= most:
+            places = {look: place for place, look in enumerate(looks)}
+            return sorted(
+                runs, key=lambda run: (len(looks) if run.rank == LAST else places[run.look], run.row, run.left)
+            )
+        return sorted(
+            runs, key=lambda run: (run.rank, (run.rank, run.row, run.left) < self._begin_at, run.row, run.left)
+        )
 
     def _runs(self, ranks: Sequence[tuple[Region, int]]) -> Iterator[CellRun]:
         for y in self._changed:
             wanted, shown = self._wanted[y], self._shown[y]
-            edges = {0, len(wanted), *([self._begin_at[1]] if y == self._begin_at[0] else [])}
+            _, row, column = self._begin_at
+            edges = {0, len(wanted), *([column] if y == row else [])}
             for left, right, rank in _ranked(y, edges, ranks):
-                for begin, end in _differing(wanted, shown, left, right):
-                    yield CellRun(rank, y, begin, end)
+                for begin, end, look in _differing(wanted, shown, left, right, mixed=rank == LAST):
+                    yield CellRun(rank, y, begin, end, look)
 
 
 class _Pen:
-    """Writes cells one after the other, with as few sequences as they need."""
+    """Writes cells one after the other, with as few sequences as they need.
 
-    def __init__(self, most: float) -> None:
+    Attributes:
+        look: the look that the terminal has after what is written, or None if it is unknown.
+    """
+
+    def __init__(self, most: float, look: CellLook | None) -> None:
+        self.look = look
         self._most = most
         self._parts: list[str] = []
         self._size = 0
-        self._look = _OWN
         self._at: tuple[int, int] | None = None
         """Row and column of the cursor, if they are known."""
 
     @property
     def text(self) -> str:
-        """The text so far; after it, the terminal has its own colours."""
-        return "".join((*self._parts, "\x1b[m")) if self._parts else ""
+        return "".join(self._parts)
 
     def write(self, row: Sequence[Cell], run: CellRun) -> int:
         """Write a run, or a part of it; return the column behind the last one that was written."""
@@ -238,21 +270,19 @@ class _Pen:
     def _move(self, y: int, x: int) -> None:
         if self._at == (y, x):
             return
-        down, right = (y - self._at[0], x - self._at[1]) if self._at is not None else (-1, 0)
-        if down == 0 and right > 0:
-            self._add(f"\x1b[{right}C" if right > 1 else "\x1b[C")
-        elif down == 1 and -_BACK <= right <= 0:
-            self._add("\b" * -right + "\x1b[B")
-        else:
-            self._add(f"\x1b[{y + 1};{x + 1}H" if x else f"\x1b[{y + 1}H")
+        place = f"\x1b[{y + 1};{x + 1}H" if x else f"\x1b[{y + 1}H"
+        if self._at is not None and y >= self._at[0]:
+            down, right = y - self._at[0], x - self._at[1]
+            steps = ("\b" * -right or _step(right, "C")) + _step(down, "B")
+            place = min(steps, place, key=len)
+        self._add(place)
 
     def _take(self, look: CellLook) -> None:
-        if look == self._look:
+        if look == self.look:
             return
-        had = self._look
+        had, codes = (_OWN, ["0"]) if self.look is None else (self.look, [])
         if not look.ink:  # blank: neither ink nor weight are seen
             look = CellLook("" if had.marks_blanks else had.attributes, had.ink, look.paper)
-        codes = []
         if look.attributes != had.attributes:
             if had.attributes:
                 codes.append("0")
@@ -262,7 +292,11 @@ class _Pen:
         codes += [look.paper] if look.paper != had.paper else []
         if codes:
             self._add(f"\x1b[{'' if codes == ['0'] else ';'.join(codes)}m")
-        self._look = look
+        self.look = look
+
+
+def _step(cells: int, way: str) -> str:
+    return "" if not cells else f"\x1b[{way}" if cells == 1 else f"\x1b[{cells}{way}"
 
 
 def _ranked(y: int, edges: set[int], ranks: Sequence[tuple[Region, int]]) -> Iterator[tuple[int, int, int]]:
@@ -278,24 +312,50 @@ def _ranked(y: int, edges: set[int], ranks: Sequence[tuple[Region, int]]) -> Ite
 
 
 def _differing(
-    wanted: Sequence[Cell], shown: Sequence[Cell | None], left: int, right: int
-) -> Iterator[tuple[int, int]]:
-    """Yield the beginnings and ends of runs of cells that differ, none of which begins behind a wide character."""
+    wanted: Sequence[Cell], shown: Sequence[Cell | None], left: int, right: int, *, mixed: bool
+) -> Iterator[tuple[int, int, CellLook]]:
+    """Yield the beginnings, ends and looks of runs of cells that differ.
+
+    None begins behind a wide character.
+
+    Args:
+        mixed: cells of several looks may be in one run.
+    """
     x = left
     while x < right:
         if wanted[x] == shown[x]:
             x += 1
             continue
-        begin, end = x, x + 1
+        begin, end, look = x, x + 1, wanted[x].look
+        x += 1
         while x < right and x - end < _JUMP:
-            if wanted[x] != shown[x]:
-                end = x + 1
+            differs, common = wanted[x] != shown[x], _common(look, wanted[x].look)
+            if common is None and not (mixed and differs and x == end):
+                break
+            if differs:
+                end, look = x + 1, common or wanted[x].look
             x += 1
         while begin > 0 and not wanted[begin].text:
             begin -= 1
         while end < len(wanted) and not wanted[end].text:
             end += 1
-        yield begin, end
+        yield begin, end, look
+
+
+def _common(one: CellLook, other: CellLook) -> CellLook | None:
+    """Return the look in which cells of two looks can be written, or None: a blank shows only its paper."""
+    if one == other:
+        return one
+    if one.paper != other.paper or (one.ink and other.ink):
+        return None
+    inked = one if one.ink else other
+    return None if inked.marks_blanks else inked
+
+
+def _more_cells(cells: Sequence[Cell]) -> int:
+    """Return how many cells behind some a terminal may have written, too: tmux draws a skin tone beside its emoji."""
+    last = next((text for text, _ in reversed(cells) if text), "")
+    return 2 * max(0, len(last) - 1)
 
 
 def _blank(look: CellLook) -> Cell:
@@ -305,7 +365,7 @@ def _blank(look: CellLook) -> Cell:
 @lru_cache(maxsize=8192)
 def _cells(text: str, look: CellLook) -> tuple[Cell, ...]:
     space = _blank(look)
-    if text.isascii():
+    if text.isascii() or all(get_character_cell_size(char) == 1 for char in text):
         return tuple(space if char == " " else Cell(char, look) for char in text)
     cells: list[Cell] = []
     for start, end, width in split_graphemes(text)[0]:

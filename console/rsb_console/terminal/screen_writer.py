@@ -14,7 +14,7 @@ from textual.geometry import Region
 from textual.widgets import Input, TextArea
 from textual.widgets._toast import ToastRack
 
-from rsb_console.terminal.screen_cells import FIRST, LAST, ScreenCells
+from rsb_console.terminal.screen_cells import FIRST, LAST, USUAL, ScreenCells
 from rsb_console.terminal.terminal_line import TerminalLine
 
 if TYPE_CHECKING:
@@ -149,7 +149,8 @@ class ScreenWriter:
                 (each.content_region, LAST) for each in self._pictures if each.is_attached and each.screen is screen
             )
             if screen is not self._app.screen_stack[0]:
-                yield from ((each.region, FIRST) for each in screen.children if not isinstance(each, ToastRack))
+                rank = FIRST if screen is self._app.screen else USUAL  # those below only become dim
+                yield from ((each.region, rank) for each in screen.children if not isinstance(each, ToastRack))
         yield Region(0, 0, self._app.size.width, _HEADER), FIRST
 
     def has(self, region: Region) -> bool:

@@ -153,7 +153,13 @@ class TerminalLine:
         if seconds <= _AT_ONCE or found > _MUCH * self.rate:
             self.rate = max(self.rate, found)
         elif size >= min(_TELLS, self.most / 2):  # fewer are lost in the jitter of a radio link
-            self.rate = max(found, self.rate / 2) if found * _MUCH < self.rate else self.rate + (found - self.rate) / 4
+            # A delay of a moment may be jitter; a longer one is the line's, or it costs little: rates rise at once.
+            if seconds > _TRIED_EVERY:
+                self.rate = found
+            elif found * _MUCH < self.rate:
+                self.rate = max(found, self.rate / 2)
+            else:
+                self.rate += (found - self.rate) / 4
 
     def _carry(self) -> float:
         """Have the line carry what it can until now, and return the bytes that are left."""
@@ -192,10 +198,7 @@ class TerminalLine:
     def most(self) -> float:
         """Bytes of the next frame at most."""
         with self._lock:
-            rate = self.rate
-            if self._overdue:
-                rate = min(rate, self._not_answered / (self._at - self._asked[0].at))
-            return max(_LEAST, rate * FRAME)
+            return _LEAST if self._overdue else max(_LEAST, self.rate * FRAME)
 
     @property
     def is_to_be_asked(self) -> bool:
