@@ -26,6 +26,7 @@ from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import several_lines
 from rsb_console.actions.action import Action, Group
 from rsb_console.actions.all_actions import ACTIONS, bindings
+from rsb_console.notation.formats import AGE_STEP
 from rsb_console.notation.glyphs import STATE_SIGN, AsciiFilter, ControlFilter
 from rsb_console.preferences import (
     DEFAULT_THEME,
@@ -214,6 +215,14 @@ class TerminalApp(App[ReturnType]):
             self._driver.write(sequence)
 
     # --- what screens ask
+
+    def as_seen(self, seconds: float) -> float:
+        """Return an age or the present time (s) as it is when the operator sees it, on a terminal that is late.
+
+        A lateness that no age would show changes nothing.
+        """
+        late = self.writer.late
+        return seconds + late if late >= AGE_STEP else seconds
 
     def tell_problems(self) -> None:
         """Tell what is wrong with the preferences."""

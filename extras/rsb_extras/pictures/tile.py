@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from typing import TYPE_CHECKING
 
 from rich.cells import cell_len
@@ -141,14 +140,14 @@ class RatesTile(_LinesTile):
 
     def rows(self, height: int) -> list[Row]:
         routes = sorted(self.routes, key=lambda each: (each.state.rank, each.topic))
-        return [_rate_row(route) for route in routes[:height]] or [(Part(TileText.NO_TOPICS(), "dim"),)]
+        now = self.console.snapshot().time
+        return [_rate_row(route, now) for route in routes[:height]] or [(Part(TileText.NO_TOPICS(), "dim"),)]
 
 
-def _rate_row(route: RouteSnapshot) -> Row:
+def _rate_row(route: RouteSnapshot, now: float) -> Row:
     rate = formats.hertz(route.rate) + (
         "" if route.expected_rate is None else f"/{formats.expected(route.expected_rate)}"
     )
-    now = time.time()
     return (
         Part(f"{STATE_SIGN[route.state]} ", route.state),
         Part(f"{rate:>9}  ", route.state),
