@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.snapshot import Event, RouteSnapshot
     from rsb_console.console_api import Console
+    from rsb_console.terminal.terminal_facts import TerminalFacts
     from rsb_extras.pictures.layouts import Subject
     from rsb_extras.pictures.picture_rows import Row
 
@@ -104,6 +105,11 @@ class Tile(PicturePane):
     def fit(self) -> None:
         """Take its present size."""
         raise NotImplementedError
+
+    def _suit_terminal(self, facts: TerminalFacts) -> None:
+        super()._suit_terminal(facts)
+        if self.is_on:
+            self.fit()
 
     def show_keys(self, more: Sequence[str]) -> None:
         """Show its keys, and those of the screen, on its frame; none if they are for another tile."""
