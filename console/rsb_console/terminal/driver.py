@@ -25,6 +25,7 @@ from textual.drivers.linux_driver import (
     KITTY_REPORT_ASSOCIATED_TEXT,
     LinuxDriver,
 )
+from textual.message_pump import MessagePump
 from textual.screen import Screen
 
 from rsb_bridge.config.files import make_folder, owner_only
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
 
     from textual.app import App
     from textual.message import Message
+    from textual.timer import Timer
 
     from rsb_console.terminal.terminal_facts import TerminalFacts
 
@@ -157,6 +159,23 @@ async def _on_resize(screen: Screen[Any], event: events.Resize) -> None:
 
 
 Screen._on_resize = _on_resize  # type: ignore[method-assign, assignment]
+
+_textual_set_timer = MessagePump.set_timer
+
+
+def _set_timer(pump: MessagePump, *arguments: Any, **options: Any) -> Timer:
+    """Make a timer of one call, which it does not skip.
+
+    Textual skips a call whose time is over when the timer begins, as on a machine that is busy for so long: with the
+    only one lost, a message stayed for ever, or no further size of the terminal was taken
+    (findings/textual-one-shot-timer.sh).
+    """
+    timer = _textual_set_timer(pump, *arguments, **options)
+    timer._skip = False
+    return timer
+
+
+MessagePump.set_timer = _set_timer  # type: ignore[method-assign, assignment]
 
 _WAITED = 0.02
 """s from which on the kernel let a write wait."""
