@@ -8,7 +8,8 @@
 # asyncio's `call_later` calls in the same place.
 #
 # Version: textual 8.2.8, the one in locks/run.txt. Since when seen: 2026-11, in 8.2.8; earlier ones were not tried.
-# Here the timers' clock sleeps in its first looks, as a process does that gets no processor there: no luck needed.
+# Here the timers' clock sleeps whenever that timer looks at it, as a process does that gets no processor there: no luck
+# needed.
 #
 # Exits 0 while the behaviour is so, and 1 once it has changed or could not be looked at.
 set -eu
@@ -36,7 +37,7 @@ class OneShot(App[None]):
     called_by_asyncio = False
 
     def on_mount(self) -> None:
-        self.set_timer(DELAY, self.take_call)
+        self.set_timer(DELAY, self.take_call, name="once")
         asyncio.get_running_loop().call_later(DELAY, self.take_asyncio_call)
 
     def take_call(self) -> None:
@@ -47,13 +48,12 @@ class OneShot(App[None]):
 
 
 class Standing:
-    """The clock of Textual's timers, which stands still in each of some looks."""
+    """The clock of Textual's timers, at whose looks the process may stand still."""
 
-    looks = 0
+    stands_still = False
 
     def get_time(self) -> float:
-        if self.looks:
-            self.looks -= 1
+        if self.stands_still and asyncio.current_task().get_name() == "once":
             time.sleep(2 * DELAY)
         return time.monotonic()
 
@@ -64,7 +64,7 @@ async def look(stands_still: bool) -> tuple[bool, bool]:
     async with app.run_test() as pilot:
         await pilot.pause()
         app.called = app.called_by_asyncio = False
-        clock.looks = 6 if stands_still else 0
+        clock.stands_still = stands_still
         app.on_mount()
         await asyncio.sleep(20 * DELAY)
         return app.called, app.called_by_asyncio

@@ -2,42 +2,33 @@
 
 from __future__ import annotations
 
+import asyncio
 import time
 from typing import TYPE_CHECKING
 
-import pytest
 from tests.console.driving import on_main, until
 from textual import timer
 
 if TYPE_CHECKING:
+    import pytest
     from textual.pilot import Pilot
 
     from rsb_console.app import ConsoleApp
 
 
 class Standing:
-    """The clock of Textual's timers, which stands still in each of some looks."""
-
-    looks = 0
+    """The clock of Textual's timers: the process stands still whenever one of a name looks at it."""
 
     def get_time(self) -> float:
-        if self.looks:
-            self.looks -= 1
+        if (task := asyncio.current_task()) is not None and task.get_name() == "once":
             time.sleep(0.1)
         return time.monotonic()
 
 
-@pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> Standing:
-    made = Standing()
-    monkeypatch.setattr(timer, "_time", made)
-    return made
-
-
 @on_main()
-async def test_only_call_is_not_skipped(app: ConsoleApp, pilot: Pilot[None], clock: Standing) -> None:
+async def test_only_call_is_not_skipped(app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(timer, "_time", Standing())
     called: list[str] = []
-    clock.looks = 6
-    app.set_timer(0.05, lambda: called.append("app"))
-    app.main.set_timer(0.05, lambda: called.append("screen"))
+    app.set_timer(0.05, lambda: called.append("app"), name="once")
+    app.main.set_timer(0.05, lambda: called.append("screen"), name="once")
     await until(pilot, lambda: sorted(called) == ["app", "screen"], "both calls", 20.0)
