@@ -119,7 +119,7 @@ class TerminalApp(App[ReturnType]):
     ) -> None:
         super().__init__(driver_class=ConsoleDriver)
         self._readonly = readonly
-        self._ascii_always = ascii_only
+        self.ascii_only = self._ascii_always = ascii_only
         self.config = config_path() if config is None else config
         self.preferences = Preferences(self.config, theme)
         self.facts = self.preferences.terminal.over(facts_before_answers(os.environ, self.terminal))
@@ -138,11 +138,6 @@ class TerminalApp(App[ReturnType]):
     @property
     def readonly(self) -> bool:
         return self._readonly
-
-    @property
-    def ascii_only(self) -> bool:
-        """Whether to draw only ASCII."""
-        return self._ascii_always or self.facts.ascii_only
 
     def stop(self) -> None:
         """Close what must not stay open; may take some seconds, on any thread."""
@@ -215,11 +210,6 @@ class TerminalApp(App[ReturnType]):
     def losses(self) -> int:
         """Number of times that the terminal was cleared."""
         return self._driver.losses if isinstance(self._driver, ConsoleDriver) else 0
-
-    @property
-    def knows_terminal(self) -> bool:
-        """Whether `facts` are those of the terminal that is there now."""
-        return not isinstance(self._driver, ConsoleDriver) or self._driver.knows_terminal
 
     def write_to_terminal(self, sequence: str) -> None:
         """Write what Textual does not know of, such as an image. It has to leave cursor and colours as they were."""
@@ -314,6 +304,7 @@ class TerminalApp(App[ReturnType]):
         """Draw with the colours that the terminal has, in a theme for them."""
         facts = self.preferences.terminal.over(facts)
         had, self.facts = self.facts, facts
+        self.ascii_only = self._ascii_always or facts.ascii_only
         if (facts.colours, facts.ascii_only) != (had.colours, had.ascii_only):
             self._use_colours()
             self.refresh_css(animate=False)

@@ -146,7 +146,7 @@ class PicturePane(Widget, can_focus=True):
         """Send what the terminal lacks of the image, but nothing on boxes: Textual would not draw them again."""
         if self._painter is None or not self._bands or not self.is_attached:
             return
-        if not (self.terminal.writer.is_free and self.terminal.knows_terminal):
+        if not self.terminal.writer.is_free:
             return  # it is called again in a moment
         before, self._covered = self._covered, self._rows_under_boxes()
         if self._losses != self.terminal.losses:
