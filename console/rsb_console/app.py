@@ -6,6 +6,7 @@ import asyncio
 import os
 import time
 from contextlib import ExitStack
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -289,7 +290,9 @@ class ConsoleApp(TerminalApp[None]):
     def snapshot(self) -> Snapshot:
         if self.engine is None:
             return Snapshot(time.time(), "", "", "", 0, running=False)
-        return self.engine.snapshot()
+        snapshot = self.engine.snapshot()
+        seen_at = self.as_seen(snapshot.time)
+        return snapshot if seen_at == snapshot.time else replace(snapshot, time=seen_at)
 
     def peer_of(self, route: Row) -> str:
         now = self.snapshot()

@@ -60,6 +60,9 @@ class ConsoleShell(Protocol):
     def readonly(self) -> bool:
         """Whether all changes are forbidden."""
 
+    def as_seen(self, seconds: float) -> float:
+        """Return an age or the present time (s) as it is when the operator sees it, on a terminal that is late."""
+
     async def ask(self, dialog: Screen[T]) -> T | None:
         """Show a dialog and wait for its answer. Only from a worker."""
 
@@ -140,7 +143,10 @@ class Console(ConsoleShell, Protocol):
     def linked(self) -> bool: ...
 
     def snapshot(self) -> Snapshot:
-        """Return the engine's state, or an empty one without an engine."""
+        """Return the engine's state, or an empty one without an engine.
+
+        Its time is `as_seen`, so that ages are.
+        """
 
     def peer_of(self, route: Row) -> str:
         """Return the name of a route's other side, or its address on a client, whose link has the client's own name."""

@@ -26,6 +26,7 @@ from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import several_lines
 from rsb_console.actions.action import Action, Group
 from rsb_console.actions.all_actions import ACTIONS, bindings
+from rsb_console.notation.formats import AGE_STEP
 from rsb_console.notation.glyphs import STATE_SIGN, AsciiFilter, ControlFilter
 from rsb_console.preferences import (
     DEFAULT_THEME,
@@ -92,6 +93,7 @@ class TerminalApp(App[ReturnType]):
         facts: what the terminal can show, as far as it is known.
         text_drawn: published when text was written: for each part of a line the row, the first column, and the column
             behind the last one.
+        terminal_changed: published when the terminal is found to show other things than before.
         pictures: widgets whose content is written after all else.
         writer: writes the screen to the terminal.
     """
@@ -117,20 +119,21 @@ class TerminalApp(App[ReturnType]):
     ) -> None:
         super().__init__(driver_class=ConsoleDriver)
         self._readonly = readonly
-        self.ascii_only = ascii_only
+        self.ascii_only = self._ascii_always = ascii_only
         self.config = config_path() if config is None else config
         self.preferences = Preferences(self.config, theme)
         self.facts = self.preferences.terminal.over(facts_before_answers(os.environ, self.terminal))
         if self.preferences.terminal.colours is not None:
             self._use_colours()
+        self._without_control, self._to_ascii = ControlFilter(), AsciiFilter()
         self.shutdown_reason = ShutdownReason.QUIT
         self.input_queue = InputQueue(self, dialogs)
         self.input_gate = InputGate(self)
         self.text_drawn: Signal[Sequence[tuple[int, int, int]]] = Signal(self, "text-drawn")
+        self.terminal_changed: Signal[TerminalFacts] = Signal(self, "terminal-changed")
         self.writer: ScreenWriter | NoTerminal = NoTerminal()
         self.pictures: set[Widget] = set()
         self._forced_end: threading.Timer | None = None
-        self._line_filters: list[LineFilter] = [ControlFilter(), *([AsciiFilter()] if ascii_only else [])]
 
     @property
     def readonly(self) -> bool:
@@ -149,7 +152,7 @@ class TerminalApp(App[ReturnType]):
         return THEME_VARIABLES
 
     def get_line_filters(self) -> Sequence[LineFilter]:
-        return [*super().get_line_filters(), *self._line_filters]
+        return [*super().get_line_filters(), self._without_control, *([self._to_ascii] if self.ascii_only else [])]
 
     def on_mount(self) -> None:
         # The key t goes through all themes. Only ours are checked to keep to the 256 colours that SSH leaves.
@@ -164,10 +167,10 @@ class TerminalApp(App[ReturnType]):
             self.set_interval(ASKED_EVERY, self._look_at_terminal)
 
     def _look_at_terminal(self) -> None:
-        if isinstance(self._driver, ConsoleDriver) and (
-            self.needs_young_keys or any(map(is_guarded, self.screen_stack))
-        ):
-            self._driver.ask_again()
+        if isinstance(self._driver, ConsoleDriver):
+            self._driver.look_for_answers()
+            if self.needs_young_keys or any(map(is_guarded, self.screen_stack)):
+                self._driver.ask_again()
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
         """Disable the actions that change something while read-only."""
@@ -214,6 +217,14 @@ class TerminalApp(App[ReturnType]):
             self._driver.write(sequence)
 
     # --- what screens ask
+
+    def as_seen(self, seconds: float) -> float:
+        """Return an age or the present time (s) as it is when the operator sees it, on a terminal that is late.
+
+        A lateness that no age would show changes nothing.
+        """
+        late = self.writer.late
+        return seconds + late if late >= AGE_STEP else seconds
 
     def tell_problems(self) -> None:
         """Tell what is wrong with the preferences."""
@@ -292,15 +303,20 @@ class TerminalApp(App[ReturnType]):
     def suit_terminal(self, facts: TerminalFacts) -> None:
         """Draw with the colours that the terminal has, in a theme for them."""
         facts = self.preferences.terminal.over(facts)
-        had, self.facts = self.facts.colours, facts
-        if facts.colours > had:
+        had, self.facts = self.facts, facts
+        self.ascii_only = self._ascii_always or facts.ascii_only
+        if (facts.colours, facts.ascii_only) != (had.colours, had.ascii_only):
             self._use_colours()
             self.refresh_css(animate=False)
+            for screen in self.screen_stack:
+                for widget in screen.walk_children(with_self=True):
+                    widget.refresh()  # lines that are drawn already stay as they are, without a new style
         few, many = (SIXTEEN_COLORS, SIXTEEN_ON_LIGHT), (DEFAULT_THEME, LIGHT_THEME)
         if self.preferences.suits_terminal and self.theme in (*few, *many):
             self.theme = (many if facts.colours > 16 else few)[bool(facts.light)]
         elif self.theme == SIXTEEN_COLORS and facts.light:
             self.theme = SIXTEEN_ON_LIGHT
+        self.terminal_changed.publish(facts)
 
     def _use_colours(self) -> None:
         """Have Textual write the colours that the terminal has: rich finds them out by TERM, and once."""

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 KIND_NOUN: dict[Kind, str] = {"topic": "topic", "service": "service", "action": "action", "parameters": "parameters"}
 KIND_SHORT: dict[Kind, str] = {"topic": "msg", "service": "srv", "action": "act", "parameters": "par"}
 """Kinds as they fit into a narrow column; the first three are ROS's own names for the types."""
+AGE_STEP = 0.1
+"""s: the least difference that an age shows."""
 _DAY = 86_400.0
 _DRIVERS_NAMED = 4  # in a question. A round figure
 _NODES_NAMED = 3  # nodes in a report; the others are counted. A round figure

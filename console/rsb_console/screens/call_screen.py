@@ -241,7 +241,7 @@ class CallScreen(ByHandScreen[PlannedCall]):
     def _progress(self) -> Line:
         if self._under_way_since is None:
             return ((CallText.NOTHING_CALLED(), "dim"),) if self._outcome is None else ()
-        waited = formats.age(time.monotonic() - self._under_way_since)
+        waited = formats.age(self.console.as_seen(time.monotonic() - self._under_way_since))
         if self._route.spec.kind == "action":
             return ((CallText.WAITING(sign=UNDER_WAY, waited=waited), "waiting"),)
         limit = self._route.spec.call_timeout

@@ -189,7 +189,7 @@ class MessageScreen(FullScreen[bool]):
             if route is not None and route.state is not State.OK:
                 reason = f" {route.reason}" if route.reason else ""
                 state = ((f"  {STATE_SIGN[route.state]} {STATE_WORD[route.state]}{reason}", route.state.value),)
-            yield ((MessageText.WAITING(waited=formats.age(waited)), "waiting"), *state)
+            yield ((MessageText.WAITING(waited=formats.age(self.console.as_seen(waited))), "waiting"), *state)
 
     # -- keys ---------------------------------------------------------------------------------------------------------
 

@@ -14,16 +14,23 @@ from functools import partial
 from queue import Full
 from typing import TYPE_CHECKING, Any
 
-from textual import events
+from textual import constants, events
 from textual._ansi_sequences import SYNC_END, SYNC_START
 from textual._parser import ParseTimeout
 from textual._xterm_parser import XTermParser
 from textual.drivers import linux_driver
-from textual.drivers.linux_driver import LinuxDriver
+from textual.drivers.linux_driver import (
+    KITTY_DISAMBIGUATE_ESCAPE_CODES,
+    KITTY_REPORT_ALL_KEYS,
+    KITTY_REPORT_ASSOCIATED_TEXT,
+    LinuxDriver,
+)
+from textual.message_pump import MessagePump
 from textual.screen import Screen
 
 from rsb_bridge.config.files import make_folder, owner_only
 from rsb_console.terminal import terminal_facts
+from rsb_console.terminal.known_terminal import KnownTerminal
 from rsb_console.terminal.pulse import ASKED_EVERY, KIND, WHO_ARE_YOU, Pulse, without_answers
 from rsb_console.terminal.terminal_line import TerminalLine, rate_of
 from rsb_console.terminal.tmux import tmux
@@ -36,6 +43,7 @@ if TYPE_CHECKING:
 
     from textual.app import App
     from textual.message import Message
+    from textual.timer import Timer
 
     from rsb_console.terminal.terminal_facts import TerminalFacts
 
@@ -43,6 +51,15 @@ _ESCAPE = "\x1b"
 _CONTINUES_ESCAPE = "[Obf\x7f"  # begins a sequence, or is a word's key of line editing
 _KEEP_TITLE, _GIVE_TITLE_BACK = "\x1b[22;0t", "\x1b[23;0t"
 _OWN_COLOURS = "\x1b[m"
+_ALTERNATE_SCREEN = "\x1b7\x1b[?1047h"
+"""Keeps the shell's cursor for the end, and clears nothing where the alternate screen is shown already."""
+_MOUSE_IN_CELLS = "\x1b[?1016l"
+_CURSOR_AND_FOCUS = "\x1b[?25l\x1b[?1004h"
+_KITTY_KEYS = f"\x1b[<u\x1b[>{KITTY_DISAMBIGUATE_ESCAPE_CODES | KITTY_REPORT_ALL_KEYS | KITTY_REPORT_ASSOCIATED_TEXT}u"
+"""kitty's keyboard protocol, as in Textual: in place of what was set, and not on top of it."""
+_MUTE_AFTER = 5.0
+"""s without an answer after which another terminal counts as one that answers nothing. A round figure: a line that
+hangs for longer is drawn in few colours until it answers."""
 _KIND, _FACT = "<terminal-kind>", "<terminal-fact>"
 _REDRAW = "ctrl+l"
 """What dtach types where a terminal is attached to it."""
@@ -128,8 +145,6 @@ class KeyParser(XTermParser):
         return super()._sequence_to_key_events(sequence, alt)
 
 
-vars(linux_driver)["XTermParser"] = KeyParser
-
 _textual_on_resize = Screen._on_resize
 
 
@@ -145,6 +160,23 @@ async def _on_resize(screen: Screen[Any], event: events.Resize) -> None:
 
 
 Screen._on_resize = _on_resize  # type: ignore[method-assign, assignment]
+
+_textual_set_timer = MessagePump.set_timer
+
+
+def _set_timer(pump: MessagePump, *arguments: Any, **options: Any) -> Timer:
+    """Make a timer of one call, which it does not skip.
+
+    Textual skips a call whose time is over when the timer begins, as on a machine that is busy for so long: with the
+    only one lost, a message stayed for ever, or no further size of the terminal was taken
+    (findings/textual-one-shot-timer.sh).
+    """
+    timer = _textual_set_timer(pump, *arguments, **options)
+    timer._skip = False
+    return timer
+
+
+MessagePump.set_timer = _set_timer  # type: ignore[method-assign, assignment]
 
 _WAITED = 0.02
 """s from which on the kernel let a write wait."""
@@ -250,9 +282,11 @@ class ConsoleDriver(LinuxDriver):
         self._continuing = False
         self._asks = False
         self._suit_terminal: Callable[[TerminalFacts], None] = app.suit_terminal
-        self._facts: TerminalFacts = app.facts
+        self._known = KnownTerminal(app.facts, os.environ)
+        self._parser: KeyParser | None = None
+        self._lacks_modes = False
+        """Whether the terminal may be another one, whose modes were not set."""
         self._title = ""
-        self._has_title = terminal_facts.can_be_asked(os.environ)
         self.pulse = Pulse(os.environ)
 
     def _get_terminal_size(self) -> tuple[int, int]:
@@ -281,6 +315,8 @@ class ConsoleDriver(LinuxDriver):
 
     def write_frame(self, text: str, *, whole: bool) -> None:
         """Write a frame, which the terminal shows at once if it is to be whole and the terminal can do so."""
+        if self._lacks_modes:
+            self._set_modes()
         synchronized: bool = whole and self._app._sync_available
         self.write(f"{SYNC_START}{text}{SYNC_END}" if synchronized else text)
         if self.line.is_to_be_asked:
@@ -306,24 +342,82 @@ class ConsoleDriver(LinuxDriver):
         """Seconds until the terminal has all that was written, as far as is known."""
         return max(self.line.late, time.monotonic() - self._waits_since if self._waits else 0.0)
 
-    def _redraw(self) -> None:
-        """Draw everything, as on a terminal that shows nothing of it."""
+    # --- another terminal
+
+    @property
+    def knows_terminal(self) -> bool:
+        """Whether it is known what the terminal can show that is there now."""
+        return self.pulse.round_trip is None or self._known.is_known
+
+    def _doubt(self) -> None:
+        """Note that another terminal may be there, which has none of what was written. Signal handlers may call this.
+
+        The next frame sets its modes, and is of the whole screen.
+        """
+        self.pulse.doubt()
+        self._known.doubt()
         self.losses += 1
-        self._app.refresh()
+        self._lacks_modes = True
+        # Until the terminal says that it tells its size among the keys, SIGWINCH tells it.
+        self._in_band_window_resize = False
+
+    def _set_modes(self) -> None:
+        """Set what `start_application_mode` sets; in the terminal that has it already, this changes nothing."""
+        self._lacks_modes = False
+        self.write(_ALTERNATE_SCREEN)
+        if self._mouse_pixels and self._parser is not None:
+            self._mouse_pixels = self._parser.mouse_pixels = False
+            self.write(_MOUSE_IN_CELLS)
+        self._enable_mouse_support()
+        self.write(_CURSOR_AND_FOCUS if constants.DISABLE_KITTY_KEY else _CURSOR_AND_FOCUS + _KITTY_KEYS)
+        self._enable_bracketed_paste()
+        self._disable_line_wrap()
+        self._request_terminal_sync_mode_support()
+        self._query_in_band_window_resize()
+
+    def _meet(self, kind: str) -> None:
+        """Find out what the terminal can show, if it may be another one."""
+        if self.pulse.is_shared and self._known.is_known:
+            return  # each of several tells its own kind, and would be the next
+        before = self._known.facts
+        if self._known.meet(kind, terminal_facts.cell_by_kernel(self._file.fileno())):
+            self.write(terminal_facts.BACKGROUND + terminal_facts.QUESTIONS)
+            self.ask()  # after the answer to this one, none comes
+        title, self._title = self._title, ""
+        self.entitle(title)
+        self._suit(before)
+
+    def _meet_without_kind(self) -> None:
+        if self._known.is_in_doubt and not self.pulse.is_doubted:
+            self._meet("")
+
+    def look_for_answers(self) -> None:
+        """Take a terminal that has not answered for long for one that answers nothing."""
+        if self._known.is_in_doubt and self.pulse.doubted_for > _MUTE_AFTER:
+            self._meet("")
+
+    def _take_answer(self, answer: str) -> None:
+        before = self._known.facts
+        self._known.take(answer)
+        self._suit(before)
+
+    def _suit(self, before: TerminalFacts) -> None:
+        if self._known.facts != before:
+            self._suit_terminal(self._known.facts)
 
     # --- the terminal's pulse
 
     def start_application_mode(self) -> None:
         super().start_application_mode()  # type: ignore[no-untyped-call]
-        self.losses += 1
-        if self._has_title:
+        self._doubt_at_new_size()
+        self._doubt()
+        self._lacks_modes = False  # Textual has set them
+        if self._known.swallows:
             self.write(_KEEP_TITLE)
             title, self._title = self._title, ""
             self.entitle(title)
         self._asks = True
-        self._doubt_at_new_size()
-        self.pulse.doubt()
-        if self._has_title:
+        if self._known.swallows:
             self.write(terminal_facts.BACKGROUND)
         self.ask()  # last: the end waits for this answer, after which no other one comes
 
@@ -334,20 +428,20 @@ class ConsoleDriver(LinuxDriver):
             return
 
         def resized(number: int, frame: FrameType | None) -> None:
-            self.pulse.doubt()
+            self._doubt()
             textual(number, frame)
 
         signal.signal(signal.SIGWINCH, resized)
 
     def stop_application_mode(self) -> None:
-        if self._has_title:
+        if self._known.swallows:
             self.write(_GIVE_TITLE_BACK)
         super().stop_application_mode()
         self.write(_OWN_COLOURS)  # last, as a frame leaves the terminal in the look of its end
 
     def entitle(self, title: str) -> None:
         """Set the terminal's title, if it can have one."""
-        if self._has_title and title != self._title:
+        if self._known.swallows and title != self._title:
             self._title = title
             self.write(f"\x1b]0;{title}\x07")
 
@@ -371,38 +465,24 @@ class ConsoleDriver(LinuxDriver):
             case events.CursorPosition():
                 if (asked := self.pulse.answered(message.y + 1, message.x + 1)) is not None:
                     self.line.answered(asked)
+                    if self._known.is_in_doubt:
+                        self._app.call_later(self._meet_without_kind)  # behind its kind, if it tells that
                 return
             case events.Key(key=key, character=answer) if key == _FACT:
-                self._take_facts(self._facts.told(answer or ""))
+                self._app.call_later(self._take_answer, answer or "")  # on the app's thread, as this one reads the keys
                 return
             case events.Key(key=key) if key == _KIND:
-                self._take_kind(KIND.fullmatch(message.character or "")["kind"])  # type: ignore[index]
+                kind = KIND.fullmatch(message.character or "")["kind"]  # type: ignore[index]
+                self.pulse.take_kind(kind)
+                self._app.call_later(self._meet, kind)
                 return
             case events.Key(key=key) if key == _REDRAW:
-                self.pulse.doubt()
-                self._app.call_later(self._redraw)
+                self._doubt()
+                self._app.call_later(self._app.refresh)
             case events.Paste():
                 message.text = without_answers(message.text)
         self.pulse.stamp(message)
         super().process_message(message)
-
-    def _take_kind(self, kind: str) -> None:
-        """Take the kind of the terminal, and at first ask one that will not show the questions for the rest."""
-        self.pulse.take_kind(kind)
-        if self._facts.kind:
-            return
-        self._take_facts(self._facts.of_kind(kind))
-        if self._has_title and self._facts.can_be_asked_more:
-            self._app.call_later(self._ask_more)
-
-    def _ask_more(self) -> None:
-        self.write(terminal_facts.QUESTIONS)
-        self.ask()  # after the answer to this one, none comes
-
-    def _take_facts(self, facts: TerminalFacts) -> None:
-        if facts != self._facts:
-            self._facts = facts
-            self._app.call_later(self._suit_terminal, facts)  # on the app's thread, as this one reads the keys
 
     def disable_input(self) -> None:
         """Read no more keys, but wait for the last answer, which the shell would take for keys."""
@@ -428,7 +508,7 @@ class ConsoleDriver(LinuxDriver):
     def _sigcont_application(self, *_: object) -> None:
         """Take the terminal back, soon. Signals may arrive faster than that takes; one call serves all of them."""
         if self._writer_thread is not None and not self._continuing:
-            self.pulse.doubt()
+            self._doubt()
             self._continuing = True
             self._app.call_later(self._continue)
 
@@ -448,8 +528,13 @@ class ConsoleDriver(LinuxDriver):
         """Read keys until the terminal is gone. Without the watch for a hangup, this would spin on empty reads."""
         self._unwatched = ended = threading.Event()
         threading.Thread(target=self._watch_hangup, args=(ended,), name="terminal-hangup", daemon=True).start()
+        vars(linux_driver)["XTermParser"] = self._new_parser
         with contextlib.suppress(OSError):
             super().run_input_thread()
+
+    def _new_parser(self, debug: bool) -> KeyParser:
+        self._parser = KeyParser(debug)
+        return self._parser
 
     def _watch_hangup(self, ended: threading.Event) -> None:
         poll = select.poll()

@@ -104,7 +104,7 @@ class Pulse:
     def relayed(self) -> bool:
         """Whether answers prove nothing about keys: a multiplexer, one of several terminals, or nobody gives them."""
         is_multiplexer = self._is_in_multiplexer or self._is_multiplexer
-        return is_multiplexer or self._is_mute or self._clock() < self._several_until
+        return is_multiplexer or self._is_mute or self.is_shared
 
     @property
     def _is_mute(self) -> bool:
@@ -124,6 +124,16 @@ class Pulse:
     def is_doubted(self) -> bool:
         """Whether another terminal may be there, which has not answered yet."""
         return self._heard < self._doubted_at and not self._is_mute
+
+    @property
+    def doubted_for(self) -> float:
+        """Seconds for which another terminal may be there that has not answered, or 0."""
+        return self._clock() - self._doubted_at if self.is_doubted else 0.0
+
+    @property
+    def is_shared(self) -> bool:
+        """Whether several terminals are attached, which answer the same questions."""
+        return self._clock() < self._several_until
 
     def doubt(self) -> None:
         """Note that another terminal may be there from now on: no key counts before it has answered.

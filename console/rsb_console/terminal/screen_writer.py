@@ -159,8 +159,8 @@ class ScreenWriter:
 
     @property
     def is_free(self) -> bool:
-        """Whether pictures in pixels may be written: nothing else waits."""
-        return self._next is None and self._driver.is_free
+        """Whether pictures in pixels may be written: nothing else waits, and the terminal is known."""
+        return self._next is None and self._driver.is_free and self._driver.knows_terminal
 
     @property
     def late(self) -> float:

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Annotated, Final, Literal
 import msgspec
 
 from rsb_console.notation.console_setting import placed
-from rsb_console.terminal.pulse import KIND, WHO_ARE_YOU
+from rsb_console.terminal.pulse import KIND, WHO_ARE_YOU, multiplexer
 from rsb_console.terminal.tmux import told_by_tmux
 
 if TYPE_CHECKING:
@@ -49,6 +49,9 @@ _TERMINALS: Final = (
     "contour",
 )  # fmt: skip
 """The beginnings of TERM of terminals that swallow a question that they do not know."""
+_EMULATORS: Final = 90
+"""The least version of an emulator (DA2); that of a VT is the version of its ROM, times ten: VT220 to VT525 have 10 to
+30."""
 _SCREEN, _PUTTY = "83", "0;136;0"
 """Kinds (DA2) of GNU screen, and of PuTTY, which shows true colours since 0.71 and answers no question about them."""
 _ST: Final = r"(?:\x07|\x1b\\)"
@@ -95,6 +98,7 @@ class TerminalFacts:
         pixels: the protocol by which it shows images, or empty.
         light: whether its background is light, or None.
         answered: whether it has answered the last of `QUESTIONS`.
+        ascii_only: whether it may have no other characters, as its kind tells.
     """
 
     name: str = ""
@@ -104,6 +108,7 @@ class TerminalFacts:
     pixels: Pixels = ""
     light: bool | None = None
     answered: bool = False
+    ascii_only: bool = False
 
     @property
     def colour_system(self) -> str:
@@ -198,6 +203,16 @@ class TerminalSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return facts
 
 
+def is_plain(kind: str) -> bool:
+    """Whether a kind (DA2) is that of a VT by DEC, or of a terminal that tells none, such as the Linux console.
+
+    Emulators answer with the number of a VT, too, but with their own version, which is greater.
+    """
+    _, _, rest = kind.partition(";")
+    version = rest.partition(";")[0]
+    return not kind or (not multiplexer(kind, {}) and version.isdigit() and int(version) < _EMULATORS)
+
+
 def can_be_asked(environ: Mapping[str, str]) -> bool:
     return environ.get("TERM", "").startswith(_TERMINALS)
 
@@ -226,7 +241,7 @@ def facts_before_answers(environ: Mapping[str, str], terminal: int) -> TerminalF
         colours = 256
     else:
         colours = 16
-    return TerminalFacts(colours=colours, cell=_cell_by_kernel(terminal))
+    return TerminalFacts(colours=colours, cell=cell_by_kernel(terminal))
 
 
 def ask(facts: TerminalFacts, environ: Mapping[str, str], read_from: int, write_to: int) -> TerminalFacts:
@@ -261,7 +276,8 @@ def _answer(questions: str, read_from: int, write_to: int) -> str:
     return answer
 
 
-def _cell_by_kernel(terminal: int) -> tuple[float, float] | None:
+def cell_by_kernel(terminal: int) -> tuple[float, float] | None:
+    """Return width and height of a character in pixels, as the kernel knows them, or None."""
     with contextlib.suppress(OSError):
         rows, columns, width, height = struct.unpack("4H", fcntl.ioctl(terminal, termios.TIOCGWINSZ, bytes(8)))
         if rows and columns and width and height:

@@ -2,7 +2,8 @@
 
 The terminal answers a question (DSR, the position of the cursor) once it has read all that was written before. So the
 time of the answer tells the round trip, and with many bytes before the question, how fast the line carries them. The
-bytes choose colours, in which nothing is written.
+bytes choose colours, in which nothing is written. Many questions, one soon after the other, tell whether their answers
+come one by one or in bunches. Where a program such as mosh gives the answers, a key that is held tells it.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ import termios
 import time
 import tty
 from functools import partial
+from itertools import pairwise
+from statistics import median
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from rsb_bridge.model.finding import Check, Finding, Grade
@@ -25,7 +28,7 @@ from rsb_console.terminal.pulse import ANSWERS_WITHIN, ASKED_EVERY, FRESH_FOR, m
 from rsb_console.terminal.terminal_facts import ask, facts_before_answers
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from rsb_console.terminal.terminal_facts import TerminalFacts
 
@@ -40,6 +43,16 @@ _LONG_ENOUGH: Final = 0.09
 """s that bytes take beyond the round trip, after which no more are written. They take 0.5 s in all at most, as each
 size is four times the one before."""
 _LOOK_EVERY: Final = 0.05
+_TOGETHER: Final = 0.01
+"""s between two arrivals of one bunch. Keyboards repeat every 0.03 s."""
+_ASKED_APART: Final = 0.03
+"""s between two questions: as between two repeats of a key."""
+_WATCHED_FOR, _WHILE_KEYS_COME = 1.0, 3.0
+"""s for which arrivals are watched, and for which they are at most while a key is held: keyboards begin to repeat after
+0.2 to 0.7 s, and mosh brings a bunch each 0.02 to 0.25 s."""
+_LEAST_BUNCHES: Final = 3
+_BUNCHED: Final = 1.5
+"""Arrivals in a bunch from which on a line bunches: a busy machine brings two at once now and then."""
 _SLOW: Final = 2_000.0
 """Bytes/s below which a refresh at the usual rates leaves keys little room. A round figure."""
 
@@ -52,8 +65,10 @@ class LineText(Wording):
     MUTE = "the terminal answers nothing within {seconds:.0f} s, so that round trip and rate cannot be measured"
     MUTE_REMEDY = "docs/lines.md says what the console does there"
     RELAYED = "{name} answers for the terminal: round trip and rate of the line to it cannot be measured: {facts}"
-    RELAYED_REMEDY = "run rsb-console doctor over the same line without {name}"
     LINE = "round trip {round_trip:.0f} ms, {rate}: {facts}"
+    BUNCHES = ", {what} come in bunches of {size:.0f}, each {apart:.2f} s"
+    HOLD = "run rsb-console doctor without {name}, or hold a key while it runs: that tells how keys come"
+    BUNCHED = "to drive, hold a key until the robot moves: one press moves nothing"
     FAST = "more than {rate}"
     FAR = "use a shorter way: with a round trip of more than {most:.2f} s no key drives, arms or agrees"
     SLOW = "press - in the console, or set refresh_rate: 0.5 in console.yaml; docs/lines.md has more"
@@ -71,6 +86,43 @@ class Line(NamedTuple):
     rate: float | None
 
 
+class Bunches(NamedTuple):
+    """How a line brings what was sent one by one.
+
+    Attributes:
+        what: ``keys`` or ``answers``.
+        size: mean number in a bunch.
+        apart: s from one bunch to the next, the median.
+    """
+
+    what: str
+    size: float
+    apart: float
+
+    @classmethod
+    def found(cls, what: str, times: Sequence[float]) -> Bunches | None:
+        """Return the bunches in which things arrived at some times (s), or None if they came one by one."""
+        begins = [now for before, now in pairwise((float("-inf"), *times)) if now - before > _TOGETHER]
+        # The first may be the press itself, and the last one cut short.
+        if len(begins) < _LEAST_BUNCHES + 2:
+            return None
+        size = sum(begins[1] <= each < begins[-1] for each in times) / (len(begins) - 2)
+        apart = median(after - before for before, after in pairwise(begins[1:]))
+        return cls(what, size, apart) if size >= _BUNCHED else None
+
+
+class Arrivals(NamedTuple):
+    """Times (s) at which answers and keys came."""
+
+    answers: list[float]
+    keys: list[float]
+
+    @property
+    def bunches(self) -> Bunches | None:
+        """The bunches in which they came: keys count before answers, which may be another program's."""
+        return Bunches.found("keys", self.keys) or Bunches.found("answers", self.answers)
+
+
 def line_check(environ: Mapping[str, str]) -> Check:
     """Return the check of the line to the terminal of this command."""
     return Check("line", "operator's line", partial(_line, environ))
@@ -86,35 +138,44 @@ def _line(environ: Mapping[str, str]) -> Iterator[Finding]:
     else:
         with AskedTerminal(sys.stdin.fileno()) as terminal:
             line = terminal.measure()
+            arrivals = Arrivals([], []) if line is None else terminal.watch()
         facts = facts_before_answers(environ, 1)
         if line is not None:
             facts = ask(facts, environ, 0, 1)
-        yield finding(line, facts, environ)
+        yield finding(line, facts, environ, arrivals.bunches)
 
 
-def finding(line: Line | None, facts: TerminalFacts, environ: Mapping[str, str]) -> Finding:
+def finding(
+    line: Line | None, facts: TerminalFacts, environ: Mapping[str, str], bunches: Bunches | None = None
+) -> Finding:
     """Return what was found out about a line, or the reason why nothing was, if there is none."""
     name = multiplexer(facts.kind, environ)
     data: dict[str, Any] = {
         "answers": line is not None, "name": facts.name, "kind": facts.kind, "multiplexer": name,
         "colours": facts.colours, "pixels": facts.pixels, "round_trip": None, "bytes_per_second": None,
+        "bunches": None if bunches is None else bunches._asdict(),
     }  # fmt: skip
     found = partial(Finding, "line", subject="operator's line", facts=data)
     if line is None:
         text = LineText.MUTE(seconds=ANSWERS_WITHIN)
         return found(grade=Grade.UNKNOWN, text=text, remedy=LineText.MUTE_REMEDY())
+    shown = facts.line()
+    if bunches is not None:
+        shown += LineText.BUNCHES(what=bunches.what, size=bunches.size, apart=bunches.apart)
     if name:
-        text, remedy = LineText.RELAYED(name=name, facts=facts.line()), LineText.RELAYED_REMEDY(name=name)
-        return found(grade=Grade.UNKNOWN, text=text, remedy=remedy)
+        remedy = LineText.HOLD(name=name) if bunches is None else LineText.BUNCHED()
+        return found(grade=Grade.UNKNOWN, text=LineText.RELAYED(name=name, facts=shown), remedy=remedy)
     data |= {"round_trip": line.round_trip, "bytes_per_second": line.rate}
     most = FRESH_FOR - ASKED_EVERY
     fast = LineText.FAST(rate=byte_rate(_SIZES[-1] / _LONG_ENOUGH))
     rate = fast if line.rate is None else byte_rate(line.rate)
-    text = LineText.LINE(round_trip=line.round_trip * 1e3, rate=rate, facts=facts.line())
+    text = LineText.LINE(round_trip=line.round_trip * 1e3, rate=rate, facts=shown)
     if line.round_trip > most:
         return found(grade=Grade.WARNING, text=text, remedy=LineText.FAR(most=most))
     if line.rate is not None and line.rate < _SLOW:
         return found(grade=Grade.NOTE, text=text, remedy=LineText.SLOW())
+    if bunches is not None:
+        return found(grade=Grade.NOTE, text=text, remedy=LineText.BUNCHED())
     return found(grade=Grade.OK, text=text)
 
 
@@ -157,6 +218,26 @@ class AskedTerminal:
             if (beyond := seconds - round_trip) >= _LONG_ENOUGH:
                 return Line(round_trip, size / beyond)
         return Line(round_trip, None)
+
+    def watch(self) -> Arrivals:
+        """Ask again and again, and return when answers and keys came."""
+        found, rest = Arrivals([], []), b""
+        began = asked_at = self._clock()
+        while (now := self._clock()) < began + (_WHILE_KEYS_COME if found.keys else _WATCHED_FOR):
+            if now >= asked_at:
+                asked_at = now + _ASKED_APART
+                self._write(_QUESTION)
+            data = rest + self._read(max(0.0, asked_at - self._clock()))
+            came_at = self._clock()
+            found.answers.extend(came_at for _ in _ANSWER.finditer(data))
+            typed, begun, rest = _ANSWER.sub(b"", data).partition(b"\x1b")
+            rest = begun + rest  # an answer that has come in part
+            found.keys.extend(came_at for _ in typed)
+        return found
+
+    def _read(self, within: float) -> bytes:
+        """Return what comes within some seconds, or nothing."""
+        return os.read(self._fd, 1024) if select.select([self._fd], [], [], within)[0] else b""
 
     def _invisible(self, size: int) -> bytes:
         # Not the same again and again, which a line may compress.

@@ -496,7 +496,8 @@ class DriveScreen(GuardedScreen, SideBox[None]):
         snapshot = self.console.snapshot()
         robots = join_first(moved_by(self._route, snapshot), _NAMED)
         trip = next((link.rtt for link in snapshot.links if link.name == self._route.link), None)
-        moved = DriveText.MOVED(robots=robots, round_trip="" if trip is None else f", round trip {trip * 1e3:.0f} ms")
+        round_trip = "" if trip is None else f", round trip {self.console.as_seen(trip) * 1e3:.0f} ms"
+        moved = DriveText.MOVED(robots=robots, round_trip=round_trip)
         if self._landing is None:
             return moved
         if (now := time.monotonic()) - self._landed_at > _LANDING_LASTS:

@@ -64,7 +64,7 @@ class FleetScreen(Screen[None]):
 
     def show(self) -> None:
         """Show the present state of the robots."""
-        self.table.show(self.fleet, time.time())
+        self.table.show(self.fleet, self.console.as_seen(time.time()))
         self.table.explain(self._why_empty())
         self.status.show(self.table, self.fleet, readonly=self.console.readonly)
         self._show_detail()

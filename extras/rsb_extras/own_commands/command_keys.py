@@ -118,7 +118,7 @@ async def _run(command: OwnCommand, console: Console, values: Mapping[str, str])
         except OSError as error:
             _warn(console, OwnCommandText.NOT_STARTED(error=error.strerror or error))
             return
-    await console.ask(OutputScreen(command.description, running))
+    await console.ask(OutputScreen(console, command.description, running))
 
 
 def _on_this_loop(tell: Callable[[RunningCommand], None]) -> Callable[[RunningCommand], None]:

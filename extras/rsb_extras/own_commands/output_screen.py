@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
     from textual.app import ComposeResult
 
+    from rsb_console.console_api import Console
     from rsb_console.widgets.lines import Line
     from rsb_extras.own_commands.running import RunningCommand
 
@@ -72,9 +73,9 @@ class OutputScreen(FullScreen[None]):
         Binding("y", "copy", show=False),
     ]
 
-    def __init__(self, title: str, command: RunningCommand) -> None:
+    def __init__(self, console: Console, title: str, command: RunningCommand) -> None:
         super().__init__()
-        self._title, self.command = title, command
+        self.console, self._title, self.command = console, title, command
         command.is_shown = True  # not later: it may end at once
         self._drawn: tuple[object, ...] = ()
 
@@ -112,7 +113,7 @@ class OutputScreen(FullScreen[None]):
         command = self.command
         if command.code is None:
             doing = "stops: what has not ended in 3 s is killed" if command.is_stopping else "runs"
-            state, look = f"{RUNNING} {doing}, {formats.age(command.seconds)}", "waiting"
+            state, look = f"{RUNNING} {doing}, {formats.age(self.console.as_seen(command.seconds))}", "waiting"
         elif command.code == 0:
             state, look = f"{DONE} {end_of(command)}", "ok"
         else:

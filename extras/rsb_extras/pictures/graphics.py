@@ -204,7 +204,7 @@ class Painter:
     """
 
     def __init__(self, protocol: Protocol) -> None:
-        self._protocol = protocol
+        self.protocol = protocol
         self.first_id = secrets.randbelow(1 << 27) * IDS + 1
         self._at = (0, 0)
         self._shown: dict[int, Band] = {}
@@ -214,7 +214,7 @@ class Painter:
 
     def overwritten(self, rows: Container[int]) -> None:
         """Note that text was drawn over rows of the image; kitty's images stay on it."""
-        if self._protocol == "sixel":
+        if self.protocol == "sixel":
             self._overwritten |= {number for number, band in self._shown.items() if band.is_under(rows)}
 
     def lost(self) -> None:
@@ -249,7 +249,7 @@ class Painter:
         Args:
             bands: that are to be shown instead, as of `painted`.
         """
-        if self._protocol != "sixel":
+        if self.protocol != "sixel":
             return []
         places = {
             (band.top, band.rows, band.columns) for band in bands if not band.is_under(covered) and at == self._at
@@ -269,4 +269,4 @@ class Painter:
         return "".join(map(self._freed, shown.values()))
 
     def _freed(self, band: Band) -> str:
-        return kitty_freed(band.image_id) if self._protocol == "kitty" else ""
+        return kitty_freed(band.image_id) if self.protocol == "kitty" else ""

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
     from textual.events import Click
 
+    from rsb_console.terminal.terminal_facts import TerminalFacts
     from rsb_console.terminal_app import TerminalApp
     from rsb_extras.pictures.graphics import Band
     from rsb_extras.pictures.picture import Pixels, Wish
@@ -78,6 +79,7 @@ class PicturePane(Widget, can_focus=True):
     def on_mount(self) -> None:
         self.set_interval(_COVERED_EVERY, self._paint)
         self.terminal.text_drawn.subscribe(self, self._drawn_over, immediate=True)
+        self.terminal.terminal_changed.subscribe(self, self._suit_terminal, immediate=True)
         self.terminal.pictures.add(self)
 
     def on_unmount(self) -> None:
@@ -124,6 +126,11 @@ class PicturePane(Widget, can_focus=True):
         # Characters below pixels would be sent for nothing, and sixels once more, as they go with characters on them.
         self._show_rows([row if y in hidden else () for y, row in enumerate(rows)])
         self.call_after_refresh(self._paint)
+
+    def _suit_terminal(self, facts: TerminalFacts) -> None:
+        """Forget the image if the terminal is another one, which has none of it."""
+        if self._painter is not None and self._painter.protocol != facts.pixels:
+            self._painter, self._bands, self._owes = None, [], False
 
     def _show_rows(self, rows: list[Row]) -> None:
         before, self._rows = self._rows, rows

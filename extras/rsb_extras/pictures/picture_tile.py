@@ -367,13 +367,13 @@ class PictureTile(Tile):
             return (ViewText.HELD(),)
         if self._viewed is None:
             waited = time.monotonic() - self._came
-            return (self._problem or ViewText.WAITING(waited=formats.age(waited)),)
+            return (self._problem or ViewText.WAITING(waited=formats.age(self.console.as_seen(waited))),)
         where = self._viewed.where
         side = other_side(self.console.snapshot().role, where) if where else "this side"
         picture, parts = self._viewed.picture, [self._reasons()]
         if self._viewed.age is not None:
-            age = self._viewed.age + time.monotonic() - self._came + self.terminal.writer.late
-            parts.append(ViewText.OLD(age=formats.age(age)))
+            age = self._viewed.age + time.monotonic() - self._came
+            parts.append(ViewText.OLD(age=formats.age(self.console.as_seen(age))))
         return [
             *parts,
             *picture.notes,

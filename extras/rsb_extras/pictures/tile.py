@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from typing import TYPE_CHECKING
 
 from rich.cells import cell_len
@@ -25,6 +24,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.snapshot import Event, RouteSnapshot
     from rsb_console.console_api import Console
+    from rsb_console.terminal.terminal_facts import TerminalFacts
     from rsb_extras.pictures.layouts import Subject
     from rsb_extras.pictures.picture_rows import Row
 
@@ -106,6 +106,11 @@ class Tile(PicturePane):
         """Take its present size."""
         raise NotImplementedError
 
+    def _suit_terminal(self, facts: TerminalFacts) -> None:
+        super()._suit_terminal(facts)
+        if self.is_on:
+            self.fit()
+
     def show_keys(self, more: Sequence[str]) -> None:
         """Show its keys, and those of the screen, on its frame; none if they are for another tile."""
         first = more[:2] if len(more) > 1 else ()  # how to leave a tile for the next one comes before what it can do
@@ -141,14 +146,14 @@ class RatesTile(_LinesTile):
 
     def rows(self, height: int) -> list[Row]:
         routes = sorted(self.routes, key=lambda each: (each.state.rank, each.topic))
-        return [_rate_row(route) for route in routes[:height]] or [(Part(TileText.NO_TOPICS(), "dim"),)]
+        now = self.console.snapshot().time
+        return [_rate_row(route, now) for route in routes[:height]] or [(Part(TileText.NO_TOPICS(), "dim"),)]
 
 
-def _rate_row(route: RouteSnapshot) -> Row:
+def _rate_row(route: RouteSnapshot, now: float) -> Row:
     rate = formats.hertz(route.rate) + (
         "" if route.expected_rate is None else f"/{formats.expected(route.expected_rate)}"
     )
-    now = time.time()
     return (
         Part(f"{STATE_SIGN[route.state]} ", route.state),
         Part(f"{rate:>9}  ", route.state),

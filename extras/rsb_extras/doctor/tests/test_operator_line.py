@@ -15,7 +15,7 @@ from tests.support.wording import says
 
 from rsb_bridge.model.finding import Grade
 from rsb_console.terminal.terminal_facts import TRUE_COLOUR, TerminalFacts
-from rsb_extras.doctor.operator_line import AskedTerminal, Line, LineText, finding
+from rsb_extras.doctor.operator_line import AskedTerminal, Bunches, Line, LineText, finding
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -103,6 +103,70 @@ def test_terminal_is_given_back_as_it_was() -> None:
             assert termios.tcgetattr(program) != before
             terminal.measure()
         assert termios.tcgetattr(program) == before
+
+
+class Bunching(AskedTerminal):
+    """A terminal in simulated time, whose line brings all that waits at once, every so often.
+
+    Args:
+        every: s between two bunches, or 0 for a line that brings each thing at once.
+        held: s between two repeats of a key that is held.
+        answers: whether its answers come over the line.
+    """
+
+    def __init__(self, every: float, held: float = 0.0, *, answers: bool = True) -> None:
+        self.now, self._every, self._held, self._answers = 0.0, every, held, answers
+        self._waiting = b""
+        self._repeated = self._brought = 0.0
+        super().__init__(0, lambda: self.now)
+
+    def _write(self, data: bytes) -> int:
+        self._waiting += ANSWER if self._answers else b""
+        return len(data)
+
+    def _read(self, within: float) -> bytes:
+        end = self.now + within
+        while True:
+            self.now += 0.001
+            if self._held and self.now >= self._repeated + (self._held if self._repeated else 0.5):
+                self._repeated = self.now
+                self._waiting += b"i"
+            if self._waiting and self.now >= self._brought + self._every:
+                self._brought = self.now
+                data, self._waiting = self._waiting, b""
+                return data
+            if self.now >= end:
+                return b""
+
+
+@pytest.mark.parametrize(
+    ("line", "what", "size", "apart"),
+    [
+        (Bunching(0.1), "answers", 3.3, 0.1),
+        (Bunching(0.1, 0.033, answers=False), "keys", 3, 0.1),
+        (Bunching(0.2, 0.04, answers=False), "keys", 5, 0.2),
+        (Bunching(0.0), "", 0, 0),
+        (Bunching(0.0, 0.033), "", 0, 0),
+    ],
+)
+def test_bunches_are_found(line: Bunching, what: str, size: float, apart: float) -> None:
+    found = line.watch().bunches
+    if not what:
+        assert found is None
+        return
+    assert found is not None
+    assert found.what == what
+    assert found.size == pytest.approx(size, rel=0.25)
+    assert found.apart == pytest.approx(apart, abs=0.025)
+
+
+@pytest.mark.parametrize(("kind", "grade"), [("1;10;0", Grade.UNKNOWN), ("1;4000;26", Grade.NOTE)])
+def test_bunches_are_shown_with_remedy(kind: str, grade: Grade) -> None:
+    facts, bunches = TerminalFacts("", kind, 256), Bunches("keys", 3.2, 0.1)
+    found = finding(Line(0.1, 40_000.0), facts, {}, bunches)
+    assert "keys come in bunches of 3, each 0.10 s" in found.text
+    assert (found.grade, found.remedy) == (grade, LineText.BUNCHED())
+    assert found.facts["bunches"] == {"what": "keys", "size": 3.2, "apart": 0.1}
 
 
 KITTY = TerminalFacts("kitty(0.26.5)", "1;4000;26", TRUE_COLOUR, (9, 18), "kitty")

@@ -193,6 +193,13 @@ async def test_commands_go_out_while_key_counts_then_zeros(app: ConsoleApp, pilo
     assert [each.ticket for each in sent(app)] == [*range(count)]
 
 
+@driven()
+async def test_round_trip_has_lateness_of_terminal(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await shown(pilot, "round trip 3 ms")
+    app.writer.late = 2.0  # type: ignore[misc]
+    await shown(pilot, "round trip 2003 ms")
+
+
 @pytest.mark.parametrize(("forward", "turn"), [(0.2, -0.5), (-2.0, 0.0), (0.0, 0.0)])
 def test_a_velocity_has_the_fields_of_its_type(forward: float, turn: float) -> None:
     twist = {"linear": {"x": f"{forward:.3f}"}, "angular": {"z": f"{turn:.3f}"}}
