@@ -8,15 +8,13 @@ feature that a session does not use costs nothing.
 
 from __future__ import annotations
 
-import logging
 from dataclasses import dataclass
-from functools import cache
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
 import msgspec
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Iterable, Mapping
     from pathlib import Path
 
 GROUP = "rsb_console.feature"
@@ -46,7 +44,6 @@ BRINGS_SETTINGS: Mapping[str, str] = {"commands": "own_commands", "layouts": "pi
 """The same of settings in ``console.yaml``."""
 
 T = TypeVar("T")
-_logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -305,62 +302,3 @@ class Feature:
     def columns(self) -> Iterable[Any]:
         """Return columns of the topics, each a `rsb_console.notation.topic_column.TopicColumn`."""
         return ()
-
-
-@cache
-def installed() -> tuple[Feature, ...]:
-    """Return the installed features in order of their names, but each after the features that it needs.
-
-    One that cannot be loaded, or lacks another one that it needs, is left out, with a warning in the log.
-    """
-    found: dict[str, Feature] = {}
-    for feature in _loaded():
-        found.setdefault(feature.name, feature)
-    ordered: dict[str, Feature] = {}
-
-    def add(feature: Feature) -> bool:
-        if feature.name in ordered:
-            return True
-        missing = [name for name in feature.needs if name not in found or not add(found[name])]
-        if missing:
-            _logger.warning("the feature %s is left out: it needs %s", feature.name, ", ".join(missing))
-            return False
-        ordered[feature.name] = feature
-        return True
-
-    for _, feature in sorted(found.items()):
-        add(feature)
-    return tuple(ordered.values())
-
-
-def _loaded() -> Iterator[Feature]:
-    from importlib.metadata import entry_points  # noqa: PLC0415 -- 2 MB, which a console that draws pictures does without
-
-    for entry in entry_points(group=GROUP):
-        try:
-            yield entry.load()
-        except Exception as error:  # noqa: BLE001 -- of code that is not ours, and of which the bridge must not depend
-            _logger.warning("the feature %s is left out: %s: %s", entry.name, type(error).__name__, error)
-
-
-@cache
-def features_with(method: str) -> tuple[Feature, ...]:
-    """Return the features that override a method of `Feature`, for what is asked about each of a thousand names."""
-    return tuple(each for each in installed() if getattr(type(each), method) is not getattr(Feature, method))
-
-
-def feature_names() -> tuple[str, ...]:
-    """Return the names of the installed features."""
-    return tuple(feature.name for feature in installed())
-
-
-@cache
-def session_keys() -> Mapping[str, SessionKey[Any]]:
-    """Return the features' keys of session files, by name."""
-    return {key.name: key for feature in installed() for key in feature.session_keys()}
-
-
-@cache
-def peer_keys() -> Mapping[str, SessionKey[Any]]:
-    """Return the keys about the other side of a link."""
-    return {name: key for name, key in session_keys().items() if key.of_peer}

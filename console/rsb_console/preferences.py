@@ -20,12 +20,13 @@ from textual.color import Color, ColorParseError
 from textual.theme import Theme
 
 from rsb_bridge.config.files import change_by_others, is_there, make_folder, replace_file, why_not_written
-from rsb_bridge.feature import BRINGS_ACTIONS, BRINGS_SETTINGS, installed
+from rsb_bridge.feature import BRINGS_ACTIONS, BRINGS_SETTINGS
+from rsb_bridge.installed_features import added
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.wording import Wording
 from rsb_console.actions.all_actions import ACTIONS, screens
-from rsb_console.notation.console_setting import feature_settings
-from rsb_console.notation.topic_column import ADDED
+from rsb_console.notation.console_setting import SETTINGS_OF_CORE, feature_settings
+from rsb_console.notation.topic_column import ADDED, SHOWN_BY_CORE
 from rsb_console.terminal.terminal_facts import TerminalSettings
 
 if TYPE_CHECKING:
@@ -55,22 +56,8 @@ KEY_SIGNS = {
 UNICODE_KEY_SIGNS = {"enter": "⏎", "up": "↑", "down": "↓"}
 Setting = str | float | bool | list[str] | dict[str, Any]
 REFRESH_RATES = (0.5, 1.0, 2.0, 4.0, 10.0)  # Hz
-TOPIC_COLUMNS = {
-    "KIND": "msg, srv, act or par",
-    "PEER": "the other side",
-    "VIA": "direction and transport",
-    "HZ/EXP": "rate and expected rate",
-    "kB/s": "throughput",
-    "TOTAL": "bytes in all",
-    "ms": "time in transit",
-    "NODE": "a node's time for a call",
-    "AGE": "since the last message",
-    "HISTORY": "rate in the last seconds",
-    "LAST FAILURE": "of the calls",
-    **{column.title: column.shows for column in ADDED},
-}
+TOPIC_COLUMNS = SHOWN_BY_CORE | {column.title: column.shows for column in ADDED}
 """Columns of the topics that an operator may leave out, and what they show; state and topic stay."""
-OWN_SETTINGS = ("bell", "columns", "notify", "refresh_rate", "terminal", "theme")
 _SETTING = r"^{name}\s*:[^#\n]*?(?P<comment>\s*#.*)?$"
 
 
@@ -221,7 +208,7 @@ def _settings_problem(path: Path, settings: object) -> str:
     """Return the first mistake in the settings, or an empty string."""
     if not isinstance(settings, dict):
         return PreferenceProblem.NO_SETTINGS(path=path)
-    known = sorted({*OWN_SETTINGS, *feature_settings()})
+    known = sorted({*SETTINGS_OF_CORE, *feature_settings()})
     unknown = [str(name) for name in settings if name not in known]
     if absent := next((name for name in unknown if name in BRINGS_SETTINGS), ""):
         return PreferenceProblem.OF_FEATURE(path=path, feature=BRINGS_SETTINGS[absent], name=absent)
@@ -300,7 +287,7 @@ class Preferences:
     def _all_actions(self) -> tuple[Action, ...]:
         actions = [*ACTIONS]
         owner = {key: action.id for action in actions for key in self.keys(action)}
-        for action in (each for feature in installed() for each in feature.own_actions(self)):
+        for action in added("own_actions", self):
             if shared := next((key for key in self.keys(action) if key in owner), ""):
                 names = {"key": shared, "one": owner[shared], "other": action.id}
                 self.problems.append(("A key left out", PreferenceProblem.SHARED_KEY(path=self._path, **names)))

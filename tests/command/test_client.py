@@ -257,7 +257,7 @@ def test_finish_finds_used_key_in_servers_log(
         link, new = of or "robot1", marks[which]
         # The clock is set back in between.
         events.append(Event(number + 1, 1e9 - number, Level.INFO, EventCode.KEY_USED, "linked", link, new=new))
-    replaced.FEATURES_OF_CLIENT_COMMAND.set(monkeypatch, lambda: (_Logs(events),))
+    replaced.FEATURES_ASKED.set(monkeypatch, lambda _: (_Logs(events),))
     ran = run("rekey", str(path), "robot1", "--finish", "--json")
     assert (ran.code, path.read_text() == TEXT) == (code, code == 0)
     assert says(ran.err, ClientEffect.USED, name="robot1", when=clock(1e9 - 1)) is (code == 0)

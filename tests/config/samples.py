@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from rsb_bridge.feature import feature_names
+from rsb_bridge.installed_features import feature_names
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 SAMPLES = [

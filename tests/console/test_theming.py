@@ -11,7 +11,7 @@ from textual.pilot import Pilot
 
 from rsb_console import preferences
 from rsb_console.app import ConsoleApp
-from rsb_console.notation.console_setting import ConsoleSetting
+from rsb_console.notation.console_setting import SETTINGS_OF_CORE, ConsoleSetting
 from rsb_console.preferences import PreferenceProblem, ThemeProblem
 from rsb_console.terminal.terminal_facts import TerminalFacts
 from rsb_console.widgets import topics
@@ -239,7 +239,7 @@ def test_mistake_in_feature_setting_has_its_file(tmp_path: Path) -> None:
 def test_unknown_setting_lists_those_of_features(tmp_path: Path) -> None:
     (tmp_path / "console.yaml").write_text("tile: []")
     ((_, reported),) = preferences.Preferences(tmp_path, None).problems
-    *own, last = sorted(preferences.OWN_SETTINGS)
+    *own, last = sorted(SETTINGS_OF_CORE)
     assert says(reported, PreferenceProblem.UNKNOWN_SETTINGS, known=f"{', '.join((*own, last))} and tiles")
 
 

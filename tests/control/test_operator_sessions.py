@@ -15,9 +15,8 @@ from rsb_bridge.config.file_form import as_said
 from rsb_bridge.config.keys import copy_key, read_key, write_key
 from rsb_bridge.config.session_file import load, save
 from rsb_bridge.engine import Engine
-from rsb_bridge.feature import session_keys
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.session import Client, Operator, Session
+from rsb_bridge.model.session import Client, Operator, Session, session_keys
 from rsb_bridge.ros.stand_in import NoRos
 
 if TYPE_CHECKING:

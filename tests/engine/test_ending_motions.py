@@ -61,7 +61,7 @@ def test_no_motion_begins_while_another_part_stops(
     topics: set[str] | None, loop: VirtualLoop, make_context: Callable[..., Context], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     feature = Moving()
-    replaced.FEATURES_OF_ENGINE.set(monkeypatch, lambda: (feature,))
+    replaced.FEATURES_ASKED.set(monkeypatch, lambda _: (feature,))
     context = make_context()
     bridge = Bridge(context, {"robot1": ()}, SNAPSHOTS)
 

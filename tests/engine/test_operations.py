@@ -14,7 +14,7 @@ from tests.support.wording import pattern
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.control.protocol import AnyCommand
-from rsb_bridge.feature import installed
+from rsb_bridge.installed_features import installed
 from rsb_bridge.link.extension import Denied
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.commands import Restart, Stop, acting

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from rsb_bridge.feature import BRINGS, BRINGS_ACTIONS, BRINGS_SETTINGS, BRINGS_TRANSPORTS, installed
+from rsb_bridge.feature import BRINGS, BRINGS_ACTIONS, BRINGS_SETTINGS, BRINGS_TRANSPORTS
+from rsb_bridge.installed_features import installed
 from rsb_console.actions.all_actions import OF_CORE
 
 ROOT = Path(__file__).parents[2]

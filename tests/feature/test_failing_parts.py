@@ -61,7 +61,7 @@ class _Failing(Feature):
 
 def test_failing_part_ends_nothing_else(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
     server, failing = bridge.server(), _Failing()
-    replaced.FEATURES_OF_ENGINE.set(monkeypatch, lambda: (failing,))
+    replaced.FEATURES_ASKED.set(monkeypatch, lambda _: (failing,))
     client = bridge.client(Topic("/scan", "transmit", type="std_msgs/msg/String"))
     bridge.expected.add(client)
     eventually(lambda: failing.part.ticks > 2, what="ticks")
@@ -74,7 +74,7 @@ def test_failing_part_ends_nothing_else(bridge: Bridge, monkeypatch: pytest.Monk
 
 def test_failing_observer_ends_nothing_else(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
     server, failing = bridge.server(), _Failing()
-    replaced.FEATURES_WITH_OBSERVERS.set(monkeypatch, lambda: (failing,))
+    replaced.FEATURES_ASKED.set(monkeypatch, lambda _: (failing,))
     client = bridge.client(Topic("/scan", "transmit", type="std_msgs/msg/String"))
     bridge.expected.add(client)
     assert happened(client, EventCode.ENGINE_ERROR)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from rsb_bridge.feature import feature_names
+from rsb_bridge.installed_features import feature_names
 
 if TYPE_CHECKING:
     from tests.network.hosts import Host

@@ -15,7 +15,7 @@ from rsb_bridge.config.grants import uses
 from rsb_bridge.config.rights import Rights, Use, rights_of_client, rights_of_server
 from rsb_bridge.config.topic_rules import transport_of
 from rsb_bridge.config.validation import domain_of, zone_of
-from rsb_bridge.feature import installed
+from rsb_bridge.installed_features import added
 from rsb_bridge.model import transports
 from rsb_bridge.model.demands import (
     Demands,
@@ -100,8 +100,7 @@ def advise(
     if problem := interface_problem(session.host):
         yield Problem("server_ip", problem)
     yield from missing_transports(session)
-    for feature in installed():
-        yield from (Problem(key, text) for key, text in feature.advice(session, file))
+    yield from (Problem(key, text) for key, text in added("advice", session, file))
     yield from _topics(session.topics, "", session)
     yield from _denied(session.topics, "", rights_of_server(session), session)
     for at, client in enumerate(session.listed_clients):

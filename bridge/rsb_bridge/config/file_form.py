@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, Final
 import msgspec
 from msgspec.structs import FieldInfo, fields
 
-from rsb_bridge.feature import BRINGS, SessionKey, peer_keys, session_keys
-from rsb_bridge.model.session import Client, Direction, Kind, Provider, Session, Topic
+from rsb_bridge.feature import BRINGS, SessionKey
+from rsb_bridge.model.session import Client, Direction, Kind, Provider, Session, Topic, peer_keys, session_keys
 from rsb_bridge.model.topic_keys import ForeignKey
 
 if TYPE_CHECKING:

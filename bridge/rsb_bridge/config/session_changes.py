@@ -9,8 +9,7 @@ import msgspec
 
 from rsb_bridge.config.file_form import LISTS, NOUNS, as_said, as_written
 from rsb_bridge.config.yaml_text import inline
-from rsb_bridge.feature import session_keys
-from rsb_bridge.model.session import Session, Topic
+from rsb_bridge.model.session import Session, Topic, session_keys
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:

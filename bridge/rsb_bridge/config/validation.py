@@ -37,7 +37,8 @@ from rsb_bridge.config.topic_rules import (
     transport_of,
     unreported,
 )
-from rsb_bridge.feature import BRINGS_TRANSPORTS, installed, peer_keys
+from rsb_bridge.feature import BRINGS_TRANSPORTS
+from rsb_bridge.installed_features import added
 from rsb_bridge.model import transports
 from rsb_bridge.model.by_hand import end_text
 from rsb_bridge.model.demands import local_name
@@ -45,7 +46,7 @@ from rsb_bridge.model.limits import DOMAIN, NAME_BYTES, OUTLIVE, TOPIC_PORT
 from rsb_bridge.model.names import is_prefix, well_formed
 from rsb_bridge.model.patterns import is_pattern
 from rsb_bridge.model.qos import AUTO
-from rsb_bridge.model.session import ArmedName, Identity, Problem, Session, Topic
+from rsb_bridge.model.session import ArmedName, Identity, Problem, Session, Topic, peer_keys
 from rsb_bridge.model.text import is_clean
 from rsb_bridge.model.transport_traits import TcpTraits, is_mac
 from rsb_bridge.model.wording import Wording
@@ -210,8 +211,7 @@ def _session(session: Session) -> Iterator[Problem]:
     yield from _topics(session.topics, session, client)
     yield from armed_problems(session.armed)
     yield from _clients(session)
-    for feature in installed():
-        yield from (Problem(key, text) for key, text in feature.problems(session))
+    yield from (Problem(key, text) for key, text in added("problems", session))
 
 
 def _name(name: str, location: str, *, use_name: bool) -> Iterator[Problem]:

@@ -13,7 +13,6 @@ from rsb_bridge.api import EngineError, InvalidRequestError
 from rsb_bridge.control import protocol
 from rsb_bridge.control.protocol import ControlProtocolError
 from rsb_bridge.control.states import EncodedRoutes, StateSender
-from rsb_bridge.feature import session_keys
 from rsb_bridge.model.by_hand import TICKET_LIFE
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.commands import (
@@ -28,6 +27,7 @@ from rsb_bridge.model.commands import (
     on_console,
     undoing,
 )
+from rsb_bridge.model.session import session_keys
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.tasks import Tasks
 

@@ -16,7 +16,7 @@ from rsb_bridge.control import control_sockets, protocol
 from rsb_bridge.control.control_server import ControlServer
 from rsb_bridge.control.control_sockets import AttachProblem, ControlError, ControlSocket, NotServedError, TakenError
 from rsb_bridge.control.protocol import BridgeInfo, ConsoleWelcome, ControlProtocolError, HelloRefused
-from rsb_bridge.feature import installed
+from rsb_bridge.installed_features import features_with, guarded
 from rsb_bridge.model.names import file_stem
 from rsb_bridge.model.text import encodable, one_line
 from rsb_bridge.model.wording import Wording
@@ -185,8 +185,9 @@ def serve(
     listener = _claim(info, environ) if control is None else _claim_path(control)
     server = ControlServer(engine, listener, info, on_stop or _terminate)
     server.start()
-    for feature in installed():
-        feature.serve(server)
+    for feature in features_with("serve"):
+        with guarded(feature, "serve"):
+            feature.serve(server)
     return server
 
 

@@ -16,7 +16,7 @@ import msgspec
 
 from rsb_bridge import __version__
 from rsb_bridge.api import EngineError
-from rsb_bridge.feature import installed
+from rsb_bridge.installed_features import added
 from rsb_bridge.model.commands import Command
 from rsb_bridge.model.session import Session
 from rsb_bridge.model.snapshot import (
@@ -160,9 +160,11 @@ class HelloRefused(_Message, frozen=True, tag="refused"):
 
 
 def _commands() -> tuple[type[Command[Any]], ...]:
-    for feature in installed():
-        feature.commands()  # which defines them
-    return tuple(Command.__subclasses__())
+    def tag(command: type[Command[Any]]) -> str:
+        return str(command.__struct_config__.tag)
+
+    of_core = tuple(each for each in Command.__subclasses__() if each.__module__ == Command.__module__)
+    return (*of_core, *added("commands", name_of=tag, taken=map(tag, of_core)))
 
 
 if TYPE_CHECKING:

@@ -25,7 +25,7 @@ from rsb_bridge.config.validation import validate
 from rsb_bridge.engine.inspector import RouteInspector
 from rsb_bridge.engine.part import MovingPart
 from rsb_bridge.engine.topic_commands import ArmingCommands, CommandLog, TopicCommands, named_in, route_in, undo_mark
-from rsb_bridge.feature import installed
+from rsb_bridge.installed_features import added, feature_faults
 from rsb_bridge.link.extension import LinkError
 from rsb_bridge.link.graph_watch import Follower, GraphWatch, NameWatch
 from rsb_bridge.link.link import link_named, topics_of_peer
@@ -134,11 +134,12 @@ class Bridge:
         """How many commands end the motions on each topic; `_EVERY_TOPIC` for all."""
         self._shutdown_watch: LastingSubscription | None = None
         self._parts: list[EnginePart] = [TopicCommands(self), self._arming, RouteInspector(self)]
-        self._parts += [part for feature in installed() for part in feature.parts(self)]
+        self._parts += added("parts", self)
         self._moving = [part for part in self._parts if isinstance(part, MovingPart)]
         for part in self._parts:
-            self.handlers |= part.handlers
+            self.handlers = part.handlers | self.handlers
         self._errors_logged: dict[str, float] = {}
+        self._faults_told = 0
 
     def find(self, key: str) -> tuple[Link, Route]:
         """Return a route and its link by the route's key.
@@ -225,6 +226,7 @@ class Bridge:
             await asyncio.sleep(due - now())
             self.context.limited.tick()
             self.role.tick()
+            self._tell_feature_faults()
             for link in self.role.links():
                 await link.table.tick_routes()
                 link.guarded(link.tick)
@@ -237,6 +239,12 @@ class Bridge:
                 before, lost = lost, ros.lost_ports()
                 if stuck := before & lost:
                     self._ros_failed(RosProblem.DEAF(port=min(stuck).path))
+
+    def _tell_feature_faults(self) -> None:
+        """Log what has been left out of features since the last time."""
+        for each in feature_faults()[self._faults_told :]:
+            self.context.events.add(Level.WARNING, EventCode.ENGINE_FEATURE_LEFT_OUT, str(each))
+            self._faults_told += 1
 
     @contextlib.contextmanager
     def _part_may_fail(self, part: EnginePart) -> Iterator[None]:

@@ -21,7 +21,7 @@ from rsb_bridge.engine.access import Access, load_keys
 from rsb_bridge.engine.bridge import Bridge
 from rsb_bridge.engine.file_commands import EngineFile, FileCommands
 from rsb_bridge.engine.io_loop import IoLoop
-from rsb_bridge.feature import installed
+from rsb_bridge.installed_features import added
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.commands import Stop, operator
@@ -221,7 +221,7 @@ class Engine(EngineApi):
         started = self.clock.time_ns() / 1e9
         blank = Snapshot(started, session.name, session.role, address, session.domain_id or 0, running=False)
         self.snapshots = SnapshotPublisher(blank, self.log, self.clock)
-        self._observers: list[EngineObserver] = [each for feature in installed() for each in feature.observers(self)]
+        self._observers: list[EngineObserver] = list(added("observers", self))
         self._answers = {kind: answer for each in self._observers for kind, answer in each.answers.items()}
 
     # --- from any thread

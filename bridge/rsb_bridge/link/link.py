@@ -8,7 +8,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from typing import TYPE_CHECKING
 
-from rsb_bridge.feature import installed
+from rsb_bridge.installed_features import added_by
 from rsb_bridge.link.base_link import BaseLink
 from rsb_bridge.link.control_channel import entries_in_slices
 from rsb_bridge.link.extension import Denied, Extension, LinkError
@@ -212,10 +212,9 @@ class Link(BaseLink):
         self.topic_lists = self.extend(TopicLists(self))
         self.type_questions = self.extend(TypeQuestions(self))
         self.compare_types = self.type_questions.compare
-        for feature in installed():
-            for extension in feature.extensions(self):
-                extension.feature = feature.name
-                self.extend(extension)
+        for feature, extension in added_by("extensions", self):
+            extension.feature = feature.name
+            self.extend(extension)
         context.demands.register(self)
 
     @property

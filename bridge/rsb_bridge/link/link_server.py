@@ -12,7 +12,7 @@ import msgspec
 
 from rsb_bridge import __version__
 from rsb_bridge.channel.udp_channel import ServerUdpChannel, UdpDemultiplexer
-from rsb_bridge.feature import feature_names
+from rsb_bridge.installed_features import feature_names
 from rsb_bridge.link.connecting import find_servers
 from rsb_bridge.link.pending_connections import ConnectionStage, Limits, PendingConnection, PendingConnections, Rejected
 from rsb_bridge.link.refused_clients import CAUSES, RefusedClients

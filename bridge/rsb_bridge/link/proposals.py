@@ -11,7 +11,7 @@ from rsb_bridge.config.grants import uses
 from rsb_bridge.config.rights import Use
 from rsb_bridge.config.session_changes import values_apart
 from rsb_bridge.config.topic_rules import entry_problems, internal_problems, problems_here
-from rsb_bridge.feature import features_with
+from rsb_bridge.installed_features import failed, features_with
 from rsb_bridge.link.extension import Denied, LinkError
 from rsb_bridge.model.by_hand import end_text
 from rsb_bridge.model.calls import LANES
@@ -273,7 +273,14 @@ def _refusal(proposal: Propose, link: BaseLink, rights: Rights) -> DeniedUse | N
 def check_features(use: Use, session: Session) -> None:
     """Raise `LinkError` if a feature keeps a topic for itself."""
     for feature in features_with("refusal"):
-        if use.kind == "topic" and (refusal := feature.refusal(session, use.topic)):
+        if use.kind != "topic":
+            continue
+        try:
+            refusal = feature.refusal(session, use.topic)
+        except Exception as error:  # noqa: BLE001 -- of code that is not ours
+            failed(feature, "refusal", error)
+            continue
+        if refusal:
             raise LinkError(refusal)
 
 

@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING
 from rsb_bridge.config.keys import fingerprint
 from rsb_bridge.config.rights import rights_of_server
 from rsb_bridge.config.session_changes import changes, described, named
-from rsb_bridge.feature import peer_keys
 from rsb_bridge.link.proposals import denied
-from rsb_bridge.model.session import Topic
+from rsb_bridge.model.session import Topic, peer_keys
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ import msgspec
 from rsb_bridge import __version__
 from rsb_bridge.config.keys import Key
 from rsb_bridge.config.rights import rights_of_client
-from rsb_bridge.feature import feature_names
+from rsb_bridge.installed_features import feature_names
 from rsb_bridge.link.client_link import ClientLink
 from rsb_bridge.link.extension import Denied, LinkError
 from rsb_bridge.link.link_server import Server

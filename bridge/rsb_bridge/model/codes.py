@@ -35,6 +35,8 @@ class EventCode(StrEnum):
     """The ROS side has ended by itself, and the engine with it."""
     ENGINE_ROS_LIMITED = "engine.ros_limited"
     """Something does not work with this distribution or middleware."""
+    ENGINE_FEATURE_LEFT_OUT = "engine.feature_left_out"
+    """Something of an installed feature fails, or has a name that is taken; the text says what, and what to do."""
     ENGINE_SUBSCRIBE_FAILED = "engine.subscribe_failed"
     """A subscription of the engine's own failed; it is opened again."""
 

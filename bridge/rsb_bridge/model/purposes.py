@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING
 
-from rsb_bridge.feature import installed
+from rsb_bridge.installed_features import added
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -48,5 +48,5 @@ TOPIC = Purpose("topic", in_graph=True)  # messages and calls of ROS nodes
 @cache
 def purposes() -> Mapping[str, Purpose]:
     """Return all purposes by name, features' last."""
-    added = (each for feature in installed() for each in feature.purposes())
-    return {each.name: each for each in (TOPIC, *added)}
+    of_features = added("purposes", name_of=lambda purpose: purpose.name, taken=[TOPIC.name])
+    return {each.name: each for each in (TOPIC, *of_features)}

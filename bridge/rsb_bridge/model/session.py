@@ -7,11 +7,12 @@ writes its file.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from functools import cache
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import msgspec
 
-from rsb_bridge.feature import peer_keys, session_keys
+from rsb_bridge.installed_features import added
 from rsb_bridge.model.by_hand import VelocityLimits, end_text
 from rsb_bridge.model.keep import Keep
 from rsb_bridge.model.patterns import is_pattern
@@ -19,6 +20,11 @@ from rsb_bridge.model.qos import Qos, parse_qos
 from rsb_bridge.model.text import one_line
 from rsb_bridge.model.transport_traits import Compression, is_mac
 from rsb_bridge.model.transports import ProfileName, Protocol, of_link
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from rsb_bridge.feature import SessionKey
 
 Priority = Literal["low", "normal", "high"]
 
@@ -343,3 +349,17 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     def adapter(self) -> str | None:
         """MAC of the server's Bluetooth adapter, or None if the session does not use one."""
         return self.host if self.is_bluetooth else self.bluetooth_address
+
+
+@cache
+def session_keys() -> Mapping[str, SessionKey[Any]]:
+    """Return the features' keys of session files, by name."""
+    lists = ("services", "actions", "parameters")  # in its file, where `topics` holds all
+    taken = (*Session.__struct_fields__, *Client.__struct_fields__, *lists)
+    return {key.name: key for key in added("session_keys", name_of=lambda key: key.name, taken=taken)}
+
+
+@cache
+def peer_keys() -> Mapping[str, SessionKey[Any]]:
+    """Return the keys about the other side of a link."""
+    return {name: key for name, key in session_keys().items() if key.of_peer}

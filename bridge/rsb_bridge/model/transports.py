@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final, Literal, NamedTuple, TypeAlias
 
-from rsb_bridge.feature import installed
+from rsb_bridge.installed_features import added
 from rsb_bridge.model.transport_traits import Compression, RfcommTraits, TcpTraits, TransportTraits, UdpTraits
 
-_OF_FEATURES = tuple(traits for feature in installed() for traits in feature.transport_traits())
+_OF_FEATURES: tuple[type[TransportTraits], ...] = added(
+    "transport_traits",
+    name_of=lambda traits: traits.name,
+    taken=[traits.name for traits in (RfcommTraits, UdpTraits, TcpTraits)],
+)
 # TCP comes last: it takes any address
-_BY_NAME: dict[str, type[TransportTraits]] = {
-    traits.name: traits for traits in (RfcommTraits, *_OF_FEATURES, UdpTraits, TcpTraits)
-}
+_IN_ORDER: tuple[type[TransportTraits], ...] = (RfcommTraits, *_OF_FEATURES, UdpTraits, TcpTraits)
+_BY_NAME = {traits.name: traits for traits in _IN_ORDER}
 
 if TYPE_CHECKING:
     Protocol: TypeAlias = str

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rsb_bridge.feature import installed
+from rsb_bridge.installed_features import added
 from rsb_bridge.model.budgets import Strangers
 from rsb_bridge.model.transports import of_link
 from rsb_bridge.transport.rfcomm import Rfcomm
@@ -65,6 +65,9 @@ def transports_of(session: Session, base: Path, random: Random) -> Transports:
         base: the folder that its files are relative to.
     """
     strangers = Strangers()
-    of_features = (feature.transports(session, base, random, strangers) for feature in installed())
-    tcp = Tcp(several_ways=session.multipath)
-    return Transports(Rfcomm(), tcp, Udp(), *(each for found in of_features for each in found), strangers=strangers)
+    of_core = (Rfcomm(), Tcp(several_ways=session.multipath), Udp())
+    of_features = added(
+        "transports", session, base, random, strangers,
+        name_of=lambda transport: transport.name, taken=[transport.name for transport in of_core],
+    )  # fmt: skip
+    return Transports(*of_core, *of_features, strangers=strangers)

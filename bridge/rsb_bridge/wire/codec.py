@@ -9,7 +9,7 @@ import msgspec
 import zstandard
 from msgspec import Meta, Raw
 
-from rsb_bridge.feature import installed
+from rsb_bridge.installed_features import added
 from rsb_bridge.model.limits import ROUTES_PER_LINK
 from rsb_bridge.wire.framing import CONTROL_LIMIT
 from rsb_bridge.wire.messages import ControlMessage, ControlMessageBase, Hello, Report, UrgentMessage, Welcome
@@ -116,7 +116,12 @@ def _decoded(
 @cache
 def control_messages() -> tuple[type[ControlMessageBase], ...]:
     """Return all types of control messages, features' last. Called late: a feature's may need this module."""
-    return (*get_args(ControlMessage), *(message for feature in installed() for message in feature.messages()))
+
+    def tag(message: type[ControlMessageBase]) -> str:
+        return str(message.__struct_config__.tag)
+
+    of_core = get_args(ControlMessage)
+    return (*of_core, *added("messages", name_of=tag, taken=map(tag, of_core)))
 
 
 @cache

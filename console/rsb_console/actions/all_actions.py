@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 from textual.binding import Binding
 
-from rsb_bridge.feature import installed
+from rsb_bridge.installed_features import added, added_by, leave_taken
 from rsb_console.actions import (
     arming_actions,
     bridge_actions,
@@ -33,9 +34,20 @@ OF_CORE: tuple[Action, ...] = (
 def _in_order() -> tuple[Action, ...]:
     """Return the core's actions and the features', each behind the action that it follows."""
     actions: list[Action] = []
-    for action in (*OF_CORE, *(each for feature in installed() for each in feature.actions())):
+    owners: dict[str, str] = {}
+
+    def add(action: Action, owner: str) -> None:
         places = [place for place, each in enumerate(actions, 1) if each.id == action.after]
         actions.insert(places[0] if places else len(actions), action)
+        owners.update(dict.fromkeys(action.keys.split(","), owner))
+
+    for action in OF_CORE:
+        add(action, "the core")
+    for feature, action in added_by("actions", name_of=lambda action: action.id, taken=[each.id for each in OF_CORE]):
+        free = [key for key in action.keys.split(",") if key not in owners]
+        for key in set(action.keys.split(",")) - {*free}:
+            leave_taken(feature, "actions", f"the key {key} of {action.id}", owners[key])
+        add(replace(action, keys=",".join(free)), f"the feature {feature.name}")
     return tuple(actions)
 
 
@@ -59,7 +71,7 @@ KEYS_ON_SCREENS: tuple[KeyChapter, ...] = (
 
 def screens() -> list[tuple[Action, ...]]:
     """Return the actions of the console, and of each screen that takes its place."""
-    return [ACTIONS, *(actions for feature in installed() for actions in feature.screens())]
+    return [ACTIONS, *added("screens")]
 
 
 def bindings(*groups: Group, actions: tuple[Action, ...] = ACTIONS) -> list[Any]:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 from importlib import import_module
 from importlib.metadata import version
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from rsb_bridge.feature import installed
+from rsb_bridge.installed_features import features_with, guarded, leave_taken
 from rsb_bridge.model.text import is_clean
 from rsb_console.command.bridge_arguments import add_bridge_commands
 from rsb_console.command.call_arguments import add_call_commands
@@ -19,6 +19,9 @@ from rsb_console.command.watching_arguments import add_watching_commands
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from rsb_bridge.feature import Feature
+    from rsb_console.command.remote_arguments import AddCommand
 
 EPILOG = """\
 Without a command: `rsb-console SESSION` bridges that session, `rsb-console` alone opens the console to choose one.
@@ -77,16 +80,35 @@ def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
 
     places: dict[str, str] = {}
 
-    for add in (*_OF_CORE, *(feature.subcommands for feature in installed()), add_completion):
+    for add in _OF_CORE:
         add(command, _complete)
+    owners = dict.fromkeys((*subparsers.choices, "completion"), "the core")
+    for feature in features_with("subcommands"):
+        with guarded(feature, "subcommands"):
+            feature.subcommands(_of_feature(feature, command, owners), _complete)
+    add_completion(command, _complete)
     _place(subparsers, places)
-    for feature in installed():
-        feature.options(subparsers.choices, _complete)
+    for feature in features_with("options"):
+        with guarded(feature, "options"):
+            feature.options(subparsers.choices, _complete)
     # A session file may take a command's place: `rsb-console SESSION` runs it.
     _complete(subparsers, "yaml_files")
     for added in subparsers.choices.values():
         _add_debug(added)
     return parser, list(subparsers.choices)
+
+
+def _of_feature(feature: Feature, command: AddCommand, owners: dict[str, str]) -> AddCommand:
+    """Return what adds a feature's commands, but none by a name that another one owns."""
+
+    def add(name: str, *arguments: Any, **more: Any) -> argparse.ArgumentParser:
+        if name in owners:
+            leave_taken(feature, "subcommands", name, owners[name])
+            return CommandParser(name)  # which nothing calls
+        owners[name] = f"the feature {feature.name}"
+        return command(name, *arguments, **more)
+
+    return add
 
 
 def _place(subparsers: argparse._SubParsersAction[CommandParser], places: dict[str, str]) -> None:

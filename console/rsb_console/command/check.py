@@ -29,7 +29,7 @@ from rsb_bridge.config.session_file import SessionError, demand_places, load
 from rsb_bridge.config.topic_rules import transport_of
 from rsb_bridge.config.validation import domain_of
 from rsb_bridge.config.yaml_text import inline
-from rsb_bridge.feature import installed
+from rsb_bridge.installed_features import added
 from rsb_bridge.model.by_hand import END_CANCEL
 from rsb_bridge.model.demands import Demands, demand_on_entry, describe, full_type, sources_of
 from rsb_bridge.model.keep import KEEP_BUDGET
@@ -103,8 +103,7 @@ def summary(session: Session, places: Mapping[SourceKey, str] | None = None) -> 
     yield f"encryption {'on' if session.use_encryption else 'OFF'}, {prefix}"
     if session.profile is not None:
         yield f"profile {session.profile}: {profile_text(PROFILES[session.profile])}"
-    for feature in installed():
-        yield from feature.effects(session)
+    yield from added("effects", session)
     for topic in session.topics:
         demanded = _demands_on(topic, session, None, demands, places)
         yield f"  {_route(topic, session, profile_of(session.profile))}{demanded}"

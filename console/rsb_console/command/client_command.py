@@ -14,7 +14,7 @@ from rsb_bridge.config.keys import fingerprint
 from rsb_bridge.config.session_changes import ClientError, client_named
 from rsb_bridge.control.bridges import ask, running_bridges
 from rsb_bridge.control.remote_engine import attach
-from rsb_bridge.feature import installed
+from rsb_bridge.installed_features import added
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.commands import AddClient, ChangeClient, RemoveClient
 from rsb_bridge.model.session import Client, Grant
@@ -166,7 +166,7 @@ def _ask_to_finish(arguments: Namespace, path: Path, name: str) -> None:
 def _last_key(server: str, name: str, fingerprints: set[str]) -> Event | None:
     """Return the last event on the server's disk about the use of these keys by a client, or None."""
     found: list[Event] = []
-    for events in (log for feature in installed() for log in feature.kept_logs(server)):
+    for events in added("kept_logs", server):
         used = [e for e in events if (e.code, e.link) == (EventCode.KEY_USED, name) and e.new in fingerprints]
         found += used[-1:]  # in the log's order, as a clock that is set back dates later events earlier
     return max(found, key=lambda each: each.time, default=None)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from rsb_bridge.feature import installed
+from rsb_bridge.installed_features import added
 
 if TYPE_CHECKING:
     from rsb_bridge.control.remote_engine import RemoteEngine
@@ -54,4 +54,4 @@ class RemoteWay:
 
 def ways() -> list[type[RemoteWay]]:
     """Return the ways that are installed."""
-    return [way for feature in installed() for way in feature.ways()]
+    return list(added("ways", name_of=lambda way: way.option))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from rsb_bridge.feature import installed
+from rsb_bridge.installed_features import added
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     import msgspec
 
 T = TypeVar("T")
+SETTINGS_OF_CORE = ("bell", "columns", "notify", "refresh_rate", "terminal", "theme")
 
 
 @dataclass(frozen=True)
@@ -47,4 +48,5 @@ def placed(name: str, error: msgspec.ValidationError) -> str:
 @cache
 def feature_settings() -> Mapping[str, ConsoleSetting[Any]]:
     """Return the features' settings by name."""
-    return {setting.name: setting for feature in installed() for setting in feature.console_settings()}
+    found = added("console_settings", name_of=lambda setting: setting.name, taken=SETTINGS_OF_CORE)
+    return {setting.name: setting for setting in found}

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
-from rsb_bridge.feature import installed
+from rsb_bridge.installed_features import added
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -32,4 +32,20 @@ class TopicColumn:
     from_width: int = 120
 
 
-ADDED: tuple[TopicColumn, ...] = tuple(column for feature in installed() for column in feature.columns())
+SHOWN_BY_CORE: Final[dict[str, str]] = {
+    "KIND": "msg, srv, act or par",
+    "PEER": "the other side",
+    "VIA": "direction and transport",
+    "HZ/EXP": "rate and expected rate",
+    "kB/s": "throughput",
+    "TOTAL": "bytes in all",
+    "ms": "time in transit",
+    "NODE": "a node's time for a call",
+    "AGE": "since the last message",
+    "HISTORY": "rate in the last seconds",
+    "LAST FAILURE": "of the calls",
+}
+"""The core's columns beside state and topic, and what they show."""
+ADDED: Final[tuple[TopicColumn, ...]] = added(
+    "columns", name_of=lambda column: column.title.strip(), taken=("STATE", "TOPIC", *SHOWN_BY_CORE)
+)

@@ -12,7 +12,7 @@ from textual.screen import ModalScreen
 from textual.widgets import Static
 
 from rsb_bridge.config.files import why_not_written
-from rsb_bridge.feature import installed
+from rsb_bridge.installed_features import added
 from rsb_console.actions.action import FooterEntry
 from rsb_console.notation import formats
 from rsb_console.notation.formats import PatternRow
@@ -101,7 +101,7 @@ def _show_messages(screen: MainScreen, route: RouteSnapshot) -> None:
     """Show a topic's messages in the usual way of their type, then in the others, until the screen is closed."""
     from rsb_console.screens.message_screen import MessageScreen  # noqa: PLC0415 -- keeps the start short
 
-    views = [view for feature in installed() for view in feature.message_views()]
+    views = added("message_views", name_of=lambda view: view.name)
     as_text = partial(MessageScreen, other=views[0].name if views else "")
     ways = [*(view.screen for view in views), as_text]
     usual = next((at for at, view in enumerate(views) if view.suits(route.type_name)), len(views))

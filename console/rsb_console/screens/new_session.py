@@ -13,10 +13,9 @@ from rsb_bridge.config.imports.importing import import_file
 from rsb_bridge.config.imports.other_bridges import Choices
 from rsb_bridge.config.keys import KeyFileError, fingerprint, key_path, read_key, write_key
 from rsb_bridge.config.session_file import SessionError, SessionFile, validate
-from rsb_bridge.feature import session_keys
 from rsb_bridge.model.commands import Effect
 from rsb_bridge.model.limits import CHANNEL, DEFAULT_PORT, SAFE_DOMAIN
-from rsb_bridge.model.session import Client, Session
+from rsb_bridge.model.session import Client, Session, session_keys
 from rsb_bridge.model.wording import Wording
 from rsb_console.screens.clients_screen import HandoutScreen, words
 from rsb_console.screens.dialog import ConfirmScreen

@@ -33,7 +33,7 @@ from rsb_bridge.config.session_changes import (
 )
 from rsb_bridge.config.session_file import SessionFile, dump, edited_text, load_file, save
 from rsb_bridge.config.validation import validate
-from rsb_bridge.feature import installed
+from rsb_bridge.installed_features import features_with, guarded
 from rsb_bridge.model.session import Client, Session
 from rsb_bridge.model.wording import Wording
 
@@ -356,8 +356,9 @@ def robot_file(session: Session, client: Client, address: str = "") -> str:
         use_encryption=session.use_encryption,
         key_file=key_file.rpartition("/")[2] if key_file is not None and session.use_encryption else None,
     )
-    for feature in installed():
-        robot = feature.client_session(session, robot, address, port)
+    for feature in features_with("client_session"):
+        with guarded(feature, "client_session"):
+            robot = feature.client_session(session, robot, address, port)
     lines = dump(robot).splitlines()
     if guessed:
         at = next(number for number, line in enumerate(lines) if line.startswith("server_ip:"))

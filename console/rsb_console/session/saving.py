@@ -14,7 +14,7 @@ from rsb_bridge.config.files import is_there, typed_path
 from rsb_bridge.config.keys import Key, KeyFileError, key_path, read_key
 from rsb_bridge.config.session_file import SessionError, SessionFile, open_file, same
 from rsb_bridge.config.yaml_text import read_text
-from rsb_bridge.feature import session_keys
+from rsb_bridge.model.session import session_keys
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:

@@ -9,6 +9,7 @@ from rsb_bridge.feature import Feature, MachineReport
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from rsb_bridge.model.finding import Check, Finding
     from rsb_console.command.remote_arguments import AddCommand, Complete
 
 
@@ -20,6 +21,16 @@ class Doctor(Feature):
 
         found = this_machine()
         return (MachineReport(report(found), "rsb-console doctor", tuple(lines(found, columns))),)
+
+    def checks(self) -> Iterable[Check]:
+        from rsb_bridge.model.finding import Check  # noqa: PLC0415
+
+        def features() -> Iterable[Finding]:
+            from rsb_extras.doctor.feature_check import features  # noqa: PLC0415 -- loads what a console does
+
+            return features()
+
+        return (Check("features", "features", features),)
 
     def subcommands(self, add: AddCommand, complete: Complete) -> None:
         from pathlib import Path  # noqa: PLC0415

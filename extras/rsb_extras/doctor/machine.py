@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from rsb_bridge.config.files import why_not_written
 from rsb_bridge.config.state_folder import state_folder
-from rsb_bridge.feature import installed
+from rsb_bridge.installed_features import added, installed
 from rsb_bridge.model.finding import Check, Finding, Grade
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.wording import Wording
@@ -115,10 +115,8 @@ def checks(environ: Mapping[str, str], root: Path = Path("/")) -> tuple[Check, .
     Args:
         root: in place of ``/`` for ``/sys`` and ``/dev/shm``.
     """
-    return (
-        Check("program", "program", _program),
-        Check("extras", "extras", _extras),
-        *(check for feature in installed() for check in feature.checks()),
+    before = (Check("program", "program", _program), Check("extras", "extras", _extras))
+    behind = (
         Check("shared_memory", "shared memory", partial(_shared_memory, root / "dev/shm")),
         Check("udp_buffers", "UDP buffers", _udp_buffers),
         Check("congestion_control", "TCP", _congestion_control),
@@ -130,6 +128,8 @@ def checks(environ: Mapping[str, str], root: Path = Path("/")) -> tuple[Check, .
         Check("disk", "disk", partial(_disk, state_folder(environ))),
         Check("bluetooth", "Bluetooth", partial(_bluetooth, root)),
     )
+    taken = [check.code for check in (*before, *behind)]
+    return (*before, *added("checks", name_of=lambda check: check.code, taken=taken), *behind)
 
 
 def _program() -> Iterator[Finding]:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rsb_bridge.control.bridges import running_bridges
-from rsb_bridge.feature import installed
+from rsb_bridge.installed_features import added
 from rsb_bridge.model.wording import Wording
 from rsb_console.command.shell import OK, print_line, print_lines
 from rsb_console.command.target import NoBridgeError, UsageError, attached, result
@@ -43,7 +43,7 @@ def report(arguments: Namespace) -> int:
         print_lines(csv_report(history).removesuffix("\r\n"))
         return OK
     host = os.uname().nodename  # `platform.node` has the same name, but is one more module to load
-    findings = [each for feature in installed() for each in feature.machine(_WIDTH)]
+    findings = added("machine", _WIDTH)
     if arguments.json:
         found = {key: value for each in findings for key, value in each.data.items()}
         print_line(json_report(history, operator_machine={"host": host, **found}))
