@@ -10,19 +10,19 @@ its gates composed when arming, age or limit switch (`gates.compose_when_switche
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeAlias, TypeVar
 
 from rsb_bridge.channel.channel import DataChannel
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
     from functools import partial
 
     from rsb_bridge.cdr.description import TypeVersion
     from rsb_bridge.cdr.known_types import Velocity
     from rsb_bridge.model.snapshot import RouteSnapshot, Stage
+    from rsb_bridge.model.verdict import Verdict
     from rsb_bridge.ros.ros_interface import Endpoint
-    from rsb_bridge.route.blocking_rules import Rules
     from rsb_bridge.route.crossing import Crossing
     from rsb_bridge.route.idling import Signs
     from rsb_bridge.wire.framing import Message
@@ -115,6 +115,12 @@ class Facts(Protocol):
 
     def snapshot_of(self, common: partial[RouteSnapshot]) -> RouteSnapshot:
         """Return the snapshot whose common part is given."""
+
+
+FactsT = TypeVar("FactsT", bound=Facts)
+Rules: TypeAlias = "tuple[Callable[[FactsT, Crossing], Verdict | None], ...]"
+"""Rules for what a route carries, over one half and whether messages may cross it, which takes a while to find out.
+The order counts: of equally bad verdicts, the first does."""
 
 
 class Half(Protocol):

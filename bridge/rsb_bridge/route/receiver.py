@@ -25,10 +25,10 @@ from rsb_bridge.route.ledger import reported_ledger
 from rsb_bridge.route.lifecycle import RouteEvent, RoutePhase
 from rsb_bridge.route.listeners import Listeners
 from rsb_bridge.route.message_check import MessageCheck
-from rsb_bridge.route.receiver_facts import ReceiverFacts, failure_of
 from rsb_bridge.route.rest_message import RestAfterArming
 from rsb_bridge.route.source_publishers import bounded
-from rsb_bridge.route.topic_flow import AgreedEnd, TopicFlow
+from rsb_bridge.route.topic_facts import ReceiverFacts, failure_of
+from rsb_bridge.route.topic_flow import TopicFlow
 from rsb_bridge.route.topic_verdict import OF_RECEIVER
 from rsb_bridge.wire.messages import Describe, Publishers, Ready, Refuse
 from rsb_bridge.wire.records import DeafRecord, ReceivedReport, SentReport
@@ -36,8 +36,8 @@ from rsb_bridge.wire.records import DeafRecord, ReceivedReport, SentReport
 if TYPE_CHECKING:
     import asyncio
 
-    from rsb_bridge.route.blocking_rules import Rules
     from rsb_bridge.route.crossing import Crossing
+    from rsb_bridge.route.half import Rules
     from rsb_bridge.route.idling import Signs
     from rsb_bridge.route.route import Route
 
@@ -72,11 +72,11 @@ class Receiver:
     never_idle = False
 
     def __init__(self, route: Route) -> None:
-        self.route, self._end = route, AgreedEnd(route)
+        self.route = route
         self.carried: Carried[ReceivingChannel] = Carried()
         self.flow = TopicFlow(route, self.carried)
         self._last_report: ReceivedReport | None = None  # the last one of the present opening
-        self.rest = RestAfterArming(route, self._end)
+        self.rest = RestAfterArming(self.flow)
         self.check = MessageCheck(route.context, route.peer.budget.checks)
         self.path = IncomingPath(self.flow, self.rest, self.check)
         self.outputs = self.path.outputs
@@ -87,7 +87,7 @@ class Receiver:
         self._expired_before = 0
         self._alive = False  # a publisher on the sending side, by its liveliness lease
         self._asserts_again: asyncio.TimerHandle | None = None
-        self.facts = ReceiverFacts(self.flow, self._end, self.path, self.listeners)
+        self.facts = ReceiverFacts(self.flow, self.path, self.listeners)
 
     # --- setting up
 
@@ -148,7 +148,7 @@ class Receiver:
         newest: dict[bytes, int] = {}
         if first:
             newest = self.outputs.opened()
-            self._end.log_other(description.type)
+            self.flow.end.log_other(description.type)
             self.route.log(
                 Level.INFO, EventCode.ROUTE_CONNECTED, f"← {self.route.transport.name} connected ({description.type})"
             )
@@ -293,7 +293,7 @@ class Receiver:
         return self.flow.silence.watch.after, report, audience, listeners.others, listeners.clocks, drivers
 
     def next_change(self, now: float, crossing: Crossing) -> float:
-        if self.flow.lateness.since is not None or self.flow.left_out.is_due or self.facts.sender_ledger.open:
+        if self.flow.lateness.since is not None or self.flow.left_out.is_due or self.facts.ledger.open:
             return now
         counts = self.facts.silence_counts
         return self.flow.next_change(now, awaited=crossing.flows, counts=counts, polled=self._is_polled)
@@ -340,7 +340,7 @@ class Receiver:
         if ledger is None:
             self.route.notices.doubt(self.route.peer.instance, "the last plausible ones are shown")
         else:
-            self.facts.sender_ledger = ledger
+            self.facts.ledger = ledger
 
     def news(self) -> ReceivedReport | None:
         """Return the report to send to the peer now, or None if nothing has changed.
@@ -350,7 +350,7 @@ class Receiver:
         """
         report = self._received_report()
         before, self._last_report = self._last_report, report
-        awaits = self.facts.sender_ledger.open and self.route.life.phase is RoutePhase.READY
+        awaits = self.facts.ledger.open and self.route.life.phase is RoutePhase.READY
         if report == _with_latencies(before, report) and not awaits:
             return None
         verdict = lasting(report.verdict, self.route.verdict(), self.route.context.now())

@@ -27,9 +27,9 @@ from rsb_bridge.route.ledger import OUTAGE, RouteLedger
 from rsb_bridge.route.lifecycle import RouteEvent, RoutePhase
 from rsb_bridge.route.loop_filter import LoopFilter
 from rsb_bridge.route.resolving import Resolver
-from rsb_bridge.route.sender_facts import SenderFacts
 from rsb_bridge.route.sending import OutgoingPath
-from rsb_bridge.route.topic_flow import AgreedEnd, TopicFlow
+from rsb_bridge.route.topic_facts import SenderFacts
+from rsb_bridge.route.topic_flow import TopicFlow
 from rsb_bridge.route.topic_subscription import TopicSubscription
 from rsb_bridge.route.topic_verdict import OF_SENDER
 from rsb_bridge.wire.headers import publisher_id
@@ -40,8 +40,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from rsb_bridge.channel.scheduler import SendingChannel
-    from rsb_bridge.route.blocking_rules import Rules
     from rsb_bridge.route.crossing import Crossing
+    from rsb_bridge.route.half import Rules
     from rsb_bridge.route.idling import Signs
     from rsb_bridge.route.route import Route
     from rsb_bridge.wire.framing import Message
@@ -65,7 +65,7 @@ class Sender:
     never_idle = False
 
     def __init__(self, route: Route) -> None:
-        self.route, self._end = route, AgreedEnd(route)
+        self.route = route
         self.carried: Carried[SendingChannel] = Carried()  # to make a `Carried[…]` takes three calls more
         self.flow = TopicFlow(route, self.carried)
         self._last_report: SentReport | None = None  # the last one of the present opening
@@ -75,17 +75,14 @@ class Sender:
         self.loop_filter = LoopFilter(route)
         self.backlog = Backlog()
         self.restart_measuring = self.flow.restart_measuring
-        self.path = OutgoingPath(self.flow, self._end, self.counts, self.loop_filter, self.backlog)
+        self.path = OutgoingPath(self.flow, self.counts, self.loop_filter, self.backlog)
         route.rested.append(self.path.traffic.rested)
         self.subscription = TopicSubscription(route, self.path, self.loop_filter, self._look_who_is_present)
         self._unwanted = True  # since the last subscription, messages were not to cross for a while
         self.resolver = Resolver(route.context, route.proposal, route.judge_again)
         self.health = Health()
         self.delays = SendersDelay()
-        self.facts = SenderFacts(
-            self.flow, self._end, self.counts, self.loop_filter, self.backlog, self.path, self.subscription,
-            self.resolver, self.health,
-        )  # fmt: skip
+        self.facts = SenderFacts(self.flow, self.path, self.subscription, self.resolver, self.health)
 
     # --- setting up
 
@@ -187,7 +184,7 @@ class Sender:
         self.counts.lossy = self.route.lossy
         self.route.settle_age()
         self.path.compose()  # what is latched, as its QoS says now, is asked its age later
-        self._end.log_other(self.carried.type_name)
+        self.flow.end.log_other(self.carried.type_name)
         self.loop_filter.table.described()
         self._told = None  # the peer may have new outputs
         self.route.peer.send(described)

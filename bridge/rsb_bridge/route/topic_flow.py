@@ -150,6 +150,7 @@ class TopicFlow:
         carried: of its half.
         qos: of the bridge's endpoints on both sides, or None if unknown.
         audience: the final subscriptions, as far as this half knows.
+        end: how an arming ends.
         drivers: the publishers of what moves a robot, on both sides.
         peek_slot: takes the next message for operators who look at the topic.
         lateness: watches for messages that take too long.
@@ -164,6 +165,7 @@ class TopicFlow:
         self.qos: Qos | None
         self.knows("", "", None)
         self.audience = NOBODY
+        self.end = AgreedEnd(route)
         self.drivers = Drivers(route, carried)
         route.rested.append(self.drivers.rested)
         self.latency = LatencyMeter(_LATENCY_TICKS)

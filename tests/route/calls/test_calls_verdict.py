@@ -12,8 +12,9 @@ from rsb_bridge.model.faults import PathFault
 from rsb_bridge.model.reason import Reason
 from rsb_bridge.model.snapshot import Stage, State
 from rsb_bridge.model.verdict import Cause, LinkCause, Verdict
+from rsb_bridge.route.calls.calls_end import CallsProgress, MalformedCall, Trouble
 from rsb_bridge.route.calls.calls_ledger import REMEDIES
-from rsb_bridge.route.calls.calls_verdict import CallsProgress, MalformedCall, Trouble, calls_stages
+from rsb_bridge.route.calls.calls_verdict import calls_stages
 from rsb_bridge.route.combined_verdict import CombinedVerdict, record_of
 from rsb_bridge.route.crossing import Crossing
 

@@ -14,20 +14,19 @@ import msgspec
 
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.route.calls.call_frames import CallFrames
-from rsb_bridge.route.calls.calls_facts import CallsFacts, malformed_in
 from rsb_bridge.route.calls.calls_flow import CallsFlow
-from rsb_bridge.route.calls.calls_verdict import OF_CALLS
+from rsb_bridge.route.calls.calls_verdict import OF_CALLS, CallsFacts, malformed_in
 from rsb_bridge.route.calls.lane_types import LaneTypes
 from rsb_bridge.route.combined_verdict import lasting, node_names, record_of
 from rsb_bridge.wire.records import CallsReport
 
 if TYPE_CHECKING:
-    from rsb_bridge.route.blocking_rules import Rules
     from rsb_bridge.route.calls.asked_calls import AskedCalls, CallerKind
     from rsb_bridge.route.calls.call_frames import TakesFrames
-    from rsb_bridge.route.calls.calls_verdict import CallsEnd
+    from rsb_bridge.route.calls.calls_end import CallsEnd
     from rsb_bridge.route.calls.provided_calls import ProvidedCalls, ProviderKind
     from rsb_bridge.route.crossing import Crossing
+    from rsb_bridge.route.half import Rules
     from rsb_bridge.route.idling import Signs
     from rsb_bridge.route.route import Route
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.verdict import Cause
-from rsb_bridge.route.calls.calls_verdict import Trouble
+from rsb_bridge.route.calls.calls_end import Trouble
 
 if TYPE_CHECKING:
     import asyncio

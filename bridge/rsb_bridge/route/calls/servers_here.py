@@ -9,7 +9,7 @@ import msgspec
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.route.calls.call_servers import CallLoopGuard, Provision, provision
-from rsb_bridge.route.calls.calls_verdict import CallsProgress, Trouble
+from rsb_bridge.route.calls.calls_end import CallsProgress, Trouble
 from rsb_bridge.route.combined_verdict import node_names
 from rsb_bridge.wire.messages import Provide
 

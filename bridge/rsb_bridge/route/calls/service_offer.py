@@ -11,12 +11,11 @@ from rsb_bridge.ros.ros_interface import BATCH, RosError
 from rsb_bridge.route.calls.call_endpoints import OpenLane, OpenLanes
 from rsb_bridge.route.calls.call_frames import from_wrong_side
 from rsb_bridge.route.calls.call_servers import LocalServers, others_called, types_clash, way_here
-from rsb_bridge.route.calls.calls_verdict import CallsProgress, Trouble
+from rsb_bridge.route.calls.calls_end import CallsProgress, Trouble
 from rsb_bridge.route.calls.lane_types import TypeComparison
-from rsb_bridge.route.combined_verdict import node_names
+from rsb_bridge.route.combined_verdict import named, node_names
 from rsb_bridge.route.lease import Marker
 from rsb_bridge.route.source_publishers import SlowSubscriberError, VolatileTopic
-from rsb_bridge.route.topic_verdict import named
 from rsb_bridge.wire.headers import What
 from rsb_bridge.wire.messages import Provide
 
