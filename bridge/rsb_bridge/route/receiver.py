@@ -259,7 +259,7 @@ class Receiver:
         if self.route.link_full is not None:
             self.flow.full_at = now
         if self.route.age.only_newest or self.flow.left_out.is_on:
-            self.flow.judge_left_out(self.facts.ledger, now)
+            self.flow.left_out.judge(self.facts.ledger, now)
 
     def configure(self) -> None:
         self.flow.set_stale_after()

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from functools import partial
-from typing import TYPE_CHECKING, Any, Protocol, Unpack, final
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Unpack, final
 
 import msgspec
 
@@ -39,8 +39,8 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.model.capacity import Fullness
     from rsb_bridge.model.keep import Keep
+    from rsb_bridge.model.session import Topic
     from rsb_bridge.model.verdict import Verdict
-    from rsb_bridge.route.entry import Entry
     from rsb_bridge.route.half import Half
     from rsb_bridge.route.idling import Signs, Timetable
     from rsb_bridge.telemetry.event_log import About
@@ -48,6 +48,18 @@ if TYPE_CHECKING:
 
 _LASTS = frozenset({State.OK, State.WAITING, State.UNHEARD, State.PAUSED, State.STALE, State.STOPPED, State.DOWN})
 """States that last until something happens, or until silence has lasted too long."""
+
+
+class Entry(NamedTuple):
+    """One side's entry of a route.
+
+    Attributes:
+        topic: it with the client's names, as this side's session lists it or would list it.
+        proposal: it with the sender's and the receiver's names.
+    """
+
+    topic: Topic
+    proposal: Propose
 
 
 class Owner(Peer, Protocol):

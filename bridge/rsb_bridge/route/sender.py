@@ -102,12 +102,7 @@ class Sender:
             self.facts.kept_there = ready.newest.keys()
             self.route.age.publishers.since = None if described.qos.latched else self.route.context.stamps.now()
             spec = TopicSpec(self.route.topic, described.type, described.type_hash, described.qos)
-            self.subscription.begin(
-                spec,
-                automatic=self.route.proposal.qos is None,
-                expected_rate=self.route.spec.expected_rate,
-                known=ready.newest,
-            )
+            self.subscription.begin(spec, known=ready.newest)
             self.path.histories = self.subscription.histories
         self.route.advance()
 
@@ -335,7 +330,7 @@ class Sender:
         if self.route.link_full is not None:
             self.flow.full_at = now
         if self.route.age.only_newest or self.flow.left_out.is_on:
-            self.flow.judge_left_out(ledger, now)
+            self.flow.left_out.judge(ledger, now)
 
     def act(self, now: float, crossing: Crossing) -> None:
         self.route.limit.set_profile_rate((self.route.peer.profile.max_rate or 0.0) if self._profile_limits else 0.0)

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, ClassVar
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.verdict import Cause
+from rsb_bridge.route.calls.action_goals import CallerGoals
 from rsb_bridge.route.calls.asked_calls import AskedCalls, CallerKind
-from rsb_bridge.route.calls.caller_goals import CallerGoals
 from rsb_bridge.route.calls.calls_half import CallsHalf
 from rsb_bridge.route.calls.manual_call import CallError
 from rsb_bridge.route.calls.node_parameters import CallerParameters
@@ -50,14 +50,6 @@ class Caller(CallsHalf):
             self.route.request_reopen(EventCode.ROUTE_CALLS_BROKEN, why, Level.ERROR)
         else:
             self.route.advance()
-
-    def proceed(self) -> None:
-        """Open the channel, and offer what can be called, or withdraw it."""
-        if not self.route.life.accepted:
-            return
-        if self.carried.channel is None:
-            self.route.peer.open_channel(self.route)
-        self.offer.proceed()
 
     def destroy(self) -> None:
         """Close what is open in ROS, and give up the calls that wait for another opening."""

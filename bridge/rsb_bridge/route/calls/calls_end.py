@@ -62,6 +62,9 @@ class CallsEnd(Protocol):
 
     warning: Trouble | None
 
+    def proceed(self) -> None:
+        """Offer what can be called, or withdraw it; here, or to the other side."""
+
     @property
     def offered(self) -> bool:
         """Whether callers can call it, as far as this half knows."""

@@ -65,6 +65,14 @@ class CallsHalf:
         self.deliver, self.flush = self._frames.deliver, outbox.flush
         self.facts = CallsFacts(self.flow, self.types, end, self.kind)
 
+    def proceed(self) -> None:
+        """Open the channel; offer what can be called, or find it and tell the other side."""
+        if not self.route.life.accepted:
+            return
+        if self.carried.channel is None:
+            self.route.peer.open_channel(self.route)
+        self._end.proceed()
+
     def open(self) -> None:
         """Begin a new opening."""
         self._last_report = self.types.last_malformed = None

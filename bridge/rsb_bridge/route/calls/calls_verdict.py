@@ -17,8 +17,7 @@ if TYPE_CHECKING:
     from rsb_bridge.cdr.description import TypeVersion
     from rsb_bridge.model.snapshot import RouteSnapshot
     from rsb_bridge.route.calls.calls_end import CallsEnd, CallsProgress
-    from rsb_bridge.route.calls.calls_flow import CallsFlow
-    from rsb_bridge.route.calls.calls_kind import CallsKind
+    from rsb_bridge.route.calls.calls_flow import CallsFlow, CallsKind
     from rsb_bridge.route.calls.lane_types import LaneTypes
     from rsb_bridge.route.crossing import Crossing
     from rsb_bridge.route.half import Rules

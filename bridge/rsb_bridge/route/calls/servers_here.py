@@ -69,6 +69,7 @@ class ServersHere:
             self._have_clients(entries)
         calls.give_up_orphans()
         self._tell()
+        calls.outbox.flush()
 
     def _look(self) -> None:
         """Find the servers that may be called, and what is wrong with them."""
