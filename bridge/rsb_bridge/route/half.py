@@ -13,6 +13,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeAlias, TypeVar
 
 from rsb_bridge.channel.channel import DataChannel
+from rsb_bridge.model.verdict import LASTING
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -55,7 +56,7 @@ class Carried(Generic[ChannelT]):
 
 
 class Facts(Protocol):
-    """The knowledge of a half, for its route's verdict, stages and snapshot."""
+    """The knowledge of a half, for its route's verdict, stages and snapshot. What has a body is the usual answer."""
 
     route: Any
 
@@ -77,10 +78,12 @@ class Facts(Protocol):
     @property
     def large_vanish(self) -> bool:
         """Whether none of its last large datagrams has arrived, while smaller ones do."""
+        return False
 
     @property
     def breaking(self) -> str:
         """The reason why its channel breaks before anything arrives, or an empty string."""
+        return str(self.route.losses.repeated)
 
     @property
     def on_end(self) -> str:
@@ -89,6 +92,7 @@ class Facts(Protocol):
     @property
     def velocity(self) -> Velocity | None:
         """The velocity that the receiving side has published last, or None if it is unknown."""
+        return None
 
     @property
     def message_types(self) -> tuple[TypeVersion, ...]:
@@ -109,9 +113,11 @@ class Facts(Protocol):
     @property
     def may_not_be_late(self) -> bool:
         """Whether it carries messages that may move a robot, and that are not kept."""
+        return False
 
     def waiting_text(self) -> str:
         """Return why it carries nothing while its link is away and the association goes on, perhaps with `LASTING`."""
+        return f"waiting {LASTING} for the link"
 
     def snapshot_of(self, common: partial[RouteSnapshot]) -> RouteSnapshot:
         """Return the snapshot whose common part is given."""
@@ -131,7 +137,6 @@ class Half(Protocol):
         duplex: whether both sides send.
         peer_report: type of the reports that the other side's half sends.
         rules: of its verdict.
-        never_idle: whether it is ticked each second, whatever happens.
     """
 
     outgoing: ClassVar[bool]
@@ -140,9 +145,6 @@ class Half(Protocol):
     rules: ClassVar[Rules[Any]]
 
     def __init__(self, route: Any) -> None: ...
-
-    @property
-    def never_idle(self) -> bool: ...
 
     @property
     def carried(self) -> Carried[Any]: ...

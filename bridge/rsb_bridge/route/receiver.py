@@ -69,7 +69,6 @@ class Receiver:
     outgoing: ClassVar[bool] = False
     duplex: ClassVar[bool] = False
     rules: ClassVar[Rules[Any]] = OF_RECEIVER
-    never_idle = False
 
     def __init__(self, route: Route) -> None:
         self.route = route
@@ -293,7 +292,7 @@ class Receiver:
         return self.flow.silence.watch.after, report, audience, listeners.others, listeners.clocks, drivers
 
     def next_change(self, now: float, crossing: Crossing) -> float:
-        if self.flow.lateness.since is not None or self.flow.left_out.is_due or self.facts.ledger.open:
+        if self.facts.ledger.open:
             return now
         counts = self.facts.silence_counts
         return self.flow.next_change(now, awaited=crossing.flows, counts=counts, polled=self._is_polled)

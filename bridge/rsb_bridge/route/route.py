@@ -434,8 +434,8 @@ class Route:
             return now
         # What is not open is proposed again, or given up. What it owes comes last: it takes longest to find out.
         restless = (
-            self.half.never_idle or self._verdict is None or self._verdict.state not in _LASTS or not self.meter.still
-            or self.arming.required or self.peer.linked != bool(self.id) or self.link_full is not None
+            self._verdict is None or self._verdict.state not in _LASTS or not self.meter.still or self.arming.required
+            or self.peer.linked != bool(self.id) or self.link_full is not None
             or self.peer.path.fault is not None or self.losses.reasons or self.half.facts.owing
         )  # fmt: skip
         return now if restless else min(self.judged.next_change, of_half)

@@ -62,7 +62,6 @@ class Sender:
     outgoing: ClassVar[bool] = True
     duplex: ClassVar[bool] = False
     rules: ClassVar[Rules[Any]] = OF_SENDER
-    never_idle = False
 
     def __init__(self, route: Route) -> None:
         self.route = route
@@ -281,12 +280,9 @@ class Sender:
         return self.flow.silence.watch.after, report, self.resolver.unresolved, subscription.failure, lost, drivers
 
     def next_change(self, now: float, crossing: Crossing) -> float:
-        if self.flow.lateness.since is not None or self.flow.left_out.is_due or not self.path.traffic.still:
+        if not self.path.traffic.still or (self.backlog.exists and self.route.peer.linked):
             return now
-        if self.backlog.exists and self.route.peer.linked:
-            return now
-        awaited = crossing.flows or self.facts.lacks_publisher(crossing)
-        counts = self.facts.silence_counts
+        awaited, counts = crossing.flows or self.facts.lacks_publisher(crossing), self.facts.silence_counts
         changes = self.flow.next_change(now, awaited=awaited, counts=counts, polled=self._is_polled)
         return min(changes, self.health.next_change(now))
 

@@ -14,6 +14,7 @@ from rsb_bridge.model.verdict import EXPIRES, LASTING, Cause, LinkCause
 from rsb_bridge.route.blocking_rules import stages_with_link
 from rsb_bridge.route.combined_verdict import node_names
 from rsb_bridge.route.crossing import Crossing
+from rsb_bridge.route.half import Facts
 from rsb_bridge.route.lateness import QUEUE, REPORTED_LATELY, WAY, Late
 from rsb_bridge.route.ledger import LOSS_CAUSES, OUTAGE
 from rsb_bridge.route.listeners import no_subscriber
@@ -49,7 +50,7 @@ _NODES_START_IN = 10.0
 A round figure: nothing was measured; with a tenth of it, each boot of a robot would begin with faults."""
 
 
-class TopicFacts(ABC):
+class TopicFacts(Facts, ABC):
     """The knowledge of one half of a topic."""
 
     route: Route
@@ -194,7 +195,6 @@ class SenderFacts(TopicFacts):
         return ledger
 
     def stages(self) -> tuple[Stage, ...]:
-        """Return the stages from the publisher to the subscriber, in order."""
         described, kept, counts, report = self.route.life.described, self.has_kept, self.path.ledger, self.report
         if self.carried.endpoints:
             seen = Stage("publisher seen", True, f"{len(self.carried.endpoints)}{self.path.loop_filter.left_out()}")
@@ -339,7 +339,6 @@ class ReceiverFacts(TopicFacts):
     """
 
     owing = False
-    large_vanish = False
     ledger = Ledger()
 
     def __init__(self, flow: TopicFlow, path: IncomingPath, listeners: Listeners) -> None:
@@ -349,7 +348,6 @@ class ReceiverFacts(TopicFacts):
         self.report_now: SentReport | None = None
 
     def stages(self) -> tuple[Stage, ...]:
-        """Return the stages from the publisher to the subscriber, in order."""
         report, peer, path = self.report_now, self.route.judged.peer, self._path
         known, kept = bool(self.carried.type_name), self.has_kept
         if report is None or report.publishers:
@@ -403,10 +401,3 @@ class ReceiverFacts(TopicFacts):
     @property
     def came_before(self) -> bool:
         return self.route.meter.last is not None and not self.came
-
-    @property
-    def breaking(self) -> str:
-        return self.route.losses.repeated
-
-    def waiting_text(self) -> str:
-        return f"waiting {LASTING} for the link"

@@ -290,13 +290,15 @@ class TopicFlow:
         return self.route.proposal.keep is not None or self.qos is None or self.qos.history == "keep_all"
 
     def next_change(self, now: float, *, awaited: bool, counts: bool, polled: bool) -> float:
-        """Return when (s) something changes by itself next or infinity.
+        """Return when (s) something changes by itself next, `now` if it may at any moment, or infinity.
 
         Args:
             awaited: whether messages are missing if none come.
             counts: whether this half judges silence.
             polled: whether something may change that is neither one of the signs nor has a time.
         """
+        if self.lateness.since is not None or self.left_out.is_due:
+            return now
         changes = [math.inf]
         if awaited and counts and now < self.silence.due:
             changes.append(self.silence.due)

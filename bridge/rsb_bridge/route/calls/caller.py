@@ -12,7 +12,9 @@ from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.calls.action_goals import CallerGoals
 from rsb_bridge.route.calls.asked_calls import AskedCalls, CallerKind
+from rsb_bridge.route.calls.calls_flow import CallsFlow
 from rsb_bridge.route.calls.calls_half import CallsHalf
+from rsb_bridge.route.calls.lane_types import LaneTypes
 from rsb_bridge.route.calls.manual_call import CallError
 from rsb_bridge.route.calls.node_parameters import CallerParameters
 from rsb_bridge.route.calls.service_offer import ServiceOffer
@@ -39,10 +41,11 @@ class Caller(CallsHalf):
     kind: CallerKind
 
     def __init__(self, route: Route) -> None:
-        super().__init__(route)
-        self.under_way = AskedCalls(self.flow, self.types, _KINDS[route.proposal.kind])
-        self.offer = ServiceOffer(self.flow, self.types, self.under_way)
-        self._join(self.offer, messages=self.offer)
+        flow = CallsFlow(route)
+        types = LaneTypes(flow)
+        calls = AskedCalls(flow, types, _KINDS[route.proposal.kind])
+        self.offer = ServiceOffer(flow, types, calls)
+        super().__init__(flow, types, calls, self.offer, messages=self.offer)
 
     def provided(self, provide: Provide) -> None:
         """Take the providing side's list of what can be called."""

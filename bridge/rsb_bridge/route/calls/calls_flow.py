@@ -84,11 +84,6 @@ class CallsKind(Generic[C]):
         self._flow, self._route, self._pending = flow, flow.route, pending
 
     @property
-    def never_idle(self) -> bool:
-        """Whether it has times of its own, as goals do. A robot has few actions."""
-        return self.goals is not None
-
-    @property
     def on_end(self) -> str:
         """What happens to goals once an arming ends, or an empty string for calls that are no goals."""
         if self.goals is None:

@@ -10,6 +10,7 @@ from rsb_bridge.model.verdict import LASTING, Cause, LinkCause, Verdict
 from rsb_bridge.route.blocking_rules import first_missing, stages_with_link
 from rsb_bridge.route.calls.calls_end import MalformedCall
 from rsb_bridge.route.calls.calls_ledger import LATELY, REMEDIES
+from rsb_bridge.route.half import Facts
 
 if TYPE_CHECKING:
     from functools import partial
@@ -26,43 +27,36 @@ if TYPE_CHECKING:
 _NO_LEDGER = Ledger()
 
 
-class CallsFacts:
+class CallsFacts(Facts):
     """The knowledge of one half of a route of calls.
 
     Attributes:
-        calls, failures: as of its `CallsFlow`.
+        flow, calls, failures: of its half.
         end: the offer to callers here, or the servers here.
     """
 
-    large_vanish = False
-    velocity = None
     resends = True
     learns = True
-    may_not_be_late = False
     lifespan = 0.0
 
     def __init__(self, flow: CallsFlow, types: LaneTypes, end: CallsEnd, kind: CallsKind[Any]) -> None:
         self.route, self.calls, self.failures, self.end = flow.route, flow.calls, flow.failures, end
-        self._flow, self._types, self._kind = flow, types, kind
+        self.flow, self._types, self._kind = flow, types, kind
 
     def stages(self) -> tuple[Stage, ...]:
         return calls_stages(self, self.end.progress())
 
     @property
     def came(self) -> bool:
-        return self._flow.came
+        return self.flow.came
 
     @property
     def came_before(self) -> bool:
-        return self.calls.asked > 0 and not self._flow.came
+        return self.calls.asked > 0 and not self.flow.came
 
     @property
     def owing(self) -> bool:
         return self.calls.in_flight > 0
-
-    @property
-    def breaking(self) -> str:
-        return self.route.losses.repeated
 
     @property
     def on_end(self) -> str:
@@ -72,18 +66,11 @@ class CallsFacts:
     def message_types(self) -> tuple[TypeVersion, ...]:
         return self._types.messages
 
-    def waiting_text(self) -> str:
-        return f"waiting {LASTING} for the link"
-
     # --- for the rules of calls
-
-    @property
-    def call_timeout(self) -> float:
-        return self._flow.call_timeout
 
     def last_malformed(self) -> MalformedCall | None:
         """Return the last malformed request or response, or None."""
-        return self._types.last_malformed or malformed_in(self._flow.report)
+        return self._types.last_malformed or malformed_in(self.flow.report)
 
     @property
     def waited(self) -> bool:
@@ -104,7 +91,7 @@ class CallsFacts:
             subscribers=providers,
             calls=self.calls.snapshot(self.end.at_node()[1]),
             goals=() if goals is None else goals.snapshot(self._kind.awaited()),
-            lanes=tuple(member.name for member in self._flow.members if not member.is_topic),
+            lanes=tuple(member.name for member in self.flow.members if not member.is_topic),
         )
 
 
@@ -156,7 +143,7 @@ def _unanswered(half: CallsFacts, _: Crossing) -> Verdict | None:
     if half.waited:
         text = f"{what}; they waited for {nodes} to take earlier ones: make fewer at once, or set a longer timeout"
         return Verdict(State.SLOW, Cause.CALLS_WAIT, text, half.failures.since)
-    text = f"{what}; check why {nodes} does not answer within {half.call_timeout:g} s, or set a longer timeout"
+    text = f"{what}; check why {nodes} does not answer within {half.flow.call_timeout:g} s, or set a longer timeout"
     return Verdict(State.SLOW, Cause.UNANSWERED, text, half.failures.since)
 
 

@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, ClassVar
 
 from rsb_bridge.model.calls import Refused
 from rsb_bridge.route.calls.action_goals import ProviderGoals
+from rsb_bridge.route.calls.calls_flow import CallsFlow
 from rsb_bridge.route.calls.calls_half import CallsHalf
 from rsb_bridge.route.calls.calls_ledger import REMEDIES
+from rsb_bridge.route.calls.lane_types import LaneTypes
 from rsb_bridge.route.calls.manual_call import CallError, call_directly
 from rsb_bridge.route.calls.node_parameters import ProviderParameters
 from rsb_bridge.route.calls.provided_calls import ProvidedCalls, ProviderKind
@@ -38,10 +40,11 @@ class Provider(CallsHalf):
     kind: ProviderKind
 
     def __init__(self, route: Route) -> None:
-        super().__init__(route)
-        self.under_way = ProvidedCalls(self.flow, self.types, _KINDS[route.proposal.kind])
-        self.servers = ServersHere(self.flow, self.types, self.under_way)
-        self._join(self.servers, messages=self.under_way)
+        flow = CallsFlow(route)
+        types = LaneTypes(flow)
+        calls = ProvidedCalls(flow, types, _KINDS[route.proposal.kind])
+        self.servers = ServersHere(flow, types, calls)
+        super().__init__(flow, types, calls, self.servers, messages=calls)
 
     def destroy(self) -> None:
         """Close what is open in ROS."""
