@@ -148,11 +148,13 @@ def calls_half(now: float = 0.0, **facts: Any) -> Any:
     half.failures = SimpleNamespace(since=known["failing_since"])
     half.call_timeout = known["timeout"]
     half.last_malformed = lambda: known["malformed"]
+    known_and_offered = Stage("type known", True), Stage("offered", known["offered"] or None)
     half.end = SimpleNamespace(
         offered=known["offered"],
         warning=known["warning"],
         unavailable=_always(known["unavailable"]),
         nodes=_always(((), known["providers"])),
+        stages=_always((Stage("server seen", True, ", ".join(known["providers"])), *known_and_offered)),
     )
     half.stages = lambda: stages_with_link(half, (), (Stage("offered", None),))
     half.waited = known["waited"]

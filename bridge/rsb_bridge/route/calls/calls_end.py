@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 if TYPE_CHECKING:
+    from rsb_bridge.model.snapshot import Stage
     from rsb_bridge.model.verdict import Cause
 
 
@@ -17,29 +18,6 @@ class Trouble(NamedTuple):
 
     cause: Cause
     text: str
-
-
-class CallsProgress(NamedTuple):
-    """The progress of calls, as one half knows it.
-
-    Attributes:
-        served: whether nodes answer, or None if it is unknown.
-        providers: names of these nodes.
-        why_unserved: the reason why none answers, or empty.
-        type_name: as last known, or empty.
-        offered: whether callers can call it, as far as this half knows.
-        offer_failed: whether this half is kept from its part in offering it.
-        why_not_offered: the reason why it is not offered, or empty.
-    """
-
-    served: bool | None = None
-    providers: tuple[str, ...] = ()
-    why_unserved: str = ""
-    type_known: bool = False
-    type_name: str = ""
-    offered: bool = False
-    offer_failed: bool = False
-    why_not_offered: str = ""
 
 
 class MalformedCall(NamedTuple):
@@ -78,8 +56,8 @@ class CallsEnd(Protocol):
     def at_node(self) -> tuple[int, int]:
         """Return the newest call that was given to DDS, with all before it, and how many calls wait for their node."""
 
-    def progress(self) -> CallsProgress:
-        """Return how far calls get, as this half knows it."""
+    def stages(self) -> tuple[Stage, Stage, Stage]:
+        """Return whether a server is seen, its type is known, and callers can call it, as far as this half knows."""
 
     def close(self) -> None:
         """End the opening."""

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.cdr.description import TypeVersion
     from rsb_bridge.model.snapshot import RouteSnapshot
-    from rsb_bridge.route.calls.calls_end import CallsEnd, CallsProgress
+    from rsb_bridge.route.calls.calls_end import CallsEnd
     from rsb_bridge.route.calls.calls_flow import CallsFlow, CallsKind
     from rsb_bridge.route.calls.lane_types import LaneTypes
     from rsb_bridge.route.crossing import Crossing
@@ -44,7 +44,10 @@ class CallsFacts(Facts):
         self.flow, self._types, self._kind = flow, types, kind
 
     def stages(self) -> tuple[Stage, ...]:
-        return calls_stages(self, self.end.progress())
+        (seen, known, offered), calls = self.end.stages(), self.calls
+        called = Stage("called", calls.asked > 0 or None)
+        answered = Stage("answered", True) if calls.answered else Stage("answered", None, calls.last_failure)
+        return stages_with_link(self, (seen, known), (offered, called, answered))
 
     @property
     def came(self) -> bool:
@@ -98,23 +101,6 @@ class CallsFacts(Facts):
 def malformed_in(report: CallsReport | None) -> MalformedCall | None:
     """Return the malformed request or response that the other side has found, or None."""
     return MalformedCall(report.malformed_type, report.malformed) if report is not None and report.malformed else None
-
-
-def calls_stages(half: CallsFacts, progress: CallsProgress) -> tuple[Stage, ...]:
-    """Return the stages from the server to the caller that has its answer, in order."""
-    seen = Stage(
-        "server seen", progress.served, ", ".join(progress.providers) if progress.served else progress.why_unserved
-    )
-    if progress.type_known:
-        known = Stage("type known", True, progress.type_name)
-    elif progress.served and not half.route.outgoing:  # else the other side knows why
-        known = Stage("type known", False, progress.why_unserved)
-    else:
-        known = Stage("type known", None)
-    offered = Stage("offered", False if progress.offer_failed else progress.offered or None, progress.why_not_offered)
-    called = Stage("called", half.calls.asked > 0 or None)
-    answered = Stage("answered", True) if half.calls.answered else Stage("answered", None, half.calls.last_failure)
-    return stages_with_link(half, (seen, known), (offered, called, answered))
 
 
 def _unavailable(half: CallsFacts, _: Crossing) -> Verdict | None:
