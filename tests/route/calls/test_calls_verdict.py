@@ -107,7 +107,7 @@ def test_callers_side_knows_what_other_side_tells(make_context: Callable[..., Co
     assert [each.done for each in half.offer.stages()] == [None, None, None]
     half.offer.provided = Provide(route=1)
     seen, _, offered = half.offer.stages()
-    assert (seen.done, seen.detail) == (False, "no server of /robot1/go on the other side")
+    assert (seen.done, seen.detail) == (False, "no server of /go on the other side")
     half.route.judged.receive(VerdictRecord("waiting", NOBODY.cause, NOBODY.text, 0.0), 0.0)
     assert half.offer.stages()[0].detail == NOBODY.text
     half.offer.provided = Provide(route=1, lanes=(LaneEntry("zoo/srv/A", "RIHS01_1", 1),), nodes=("/teller",))
