@@ -148,9 +148,8 @@ class Receiver:
         if first:
             newest = self.outputs.opened()
             self.flow.end.log_other(description.type)
-            self.route.log(
-                Level.INFO, EventCode.ROUTE_CONNECTED, f"← {self.route.transport.name} connected ({description.type})"
-            )
+            text = f"← {self.route.transport.name} connected ({description.type})"
+            self.route.log(Level.INFO, EventCode.ROUTE_CONNECTED, text)
         self.route.peer.send(
             Ready(route=self.route.id, sources=len(self.outputs), before=self._counted_before(), newest=newest)
         )
@@ -342,13 +341,10 @@ class Receiver:
             self.facts.ledger = ledger
 
     def news(self) -> ReceivedReport | None:
-        """Return the report to send to the peer now, or None if nothing has changed.
-
-        While messages are in flight the same counts are sent again: the sender counts messages as lost that are not in
-        a report after some time.
-        """
         report = self._received_report()
         before, self._last_report = self._last_report, report
+        # While messages are in flight the same counts are sent again: the sender counts as lost what is in no report
+        # after some time.
         awaits = self.facts.ledger.open and self.route.life.phase is RoutePhase.READY
         if report == _with_latencies(before, report) and not awaits:
             return None

@@ -112,56 +112,51 @@ class Sender:
 
     def _set_up(self) -> None:
         """Do the next steps that are possible: look for publishers, describe them, open the channel, subscribe."""
-        if not self.route.life.accepted or self.route.pausing.paused:
+        route, loops = self.route, self.loop_filter
+        if not route.life.accepted or route.pausing.paused:
             self.subscription.unsubscribe()
-            self._unwanted = self._unwanted or self.route.pausing.paused
-            self.counts.lose("paused", self.loop_filter.forget())  # nobody wants them when it is resumed
+            self._unwanted = self._unwanted or route.pausing.paused
+            self.counts.lose("paused", loops.forget())  # nobody wants them when it is resumed
             return
         self.path.unpause()
-        self.carried.endpoints = self.loop_filter.update(self.route.topic, self.route.remote_topic)
+        self.carried.endpoints = loops.update(route.topic, route.remote_topic)
         self.resolver.update(self.carried.endpoints)
-        if self._described is not None and self._described.sources != self.loop_filter.table.sources:
+        if self._described is not None and self._described.sources != loops.table.sources:
             # A further source needs no new subscription: only its own messages wait for the peer's answer.
-            self._describe(msgspec.structs.replace(self._described, sources=self.loop_filter.table.sources))
-        if self._described is not None and self.loop_filter.outdated(self.flow.qos):
-            self.route.request_reopen(
-                EventCode.ROUTE_SOURCES_CHANGED, "its messages come through other bridges than before"
-            )
+            self._describe(msgspec.structs.replace(self._described, sources=loops.table.sources))
+        before = self._described
+        if before is not None and loops.outdated(self.flow.qos):
+            route.request_reopen(EventCode.ROUTE_SOURCES_CHANGED, "its messages come through other bridges than before")
             return
-        self.route.notices.set_loop(self.loop_filter.loop(self.route.topic))
-        if self.route.notices.loop:
+        route.notices.set_loop(loops.loop(route.topic))
+        if route.notices.loop:
             self._leave_out()
             return
         described = self._resolve()
         if described is None:
-            if self.route.life.phase is RoutePhase.READY:
+            if route.life.phase is RoutePhase.READY:
                 self._look_who_is_present()
             return
-        if self._described is not None and described.type_hash != self._described.type_hash:
+        if before is not None and described.type_hash != before.type_hash:
             # A new opening, so that no message of the old type comes where the new one is published.
-            self.route.request_reopen(
-                EventCode.ROUTE_TYPE_CHANGED, f"its type has changed from {self._described.type} to {described.type}"
-            )
+            text = f"its type has changed from {before.type} to {described.type}"
+            route.request_reopen(EventCode.ROUTE_TYPE_CHANGED, text)
             return
         reliable = described.qos.reliability
-        if (
-            self._described is not None
-            and not self.route.transport.reliable
-            and reliable != self._described.qos.reliability
-        ):
+        if before is not None and not route.transport.reliable and reliable != before.qos.reliability:
             # Both ends of a channel over datagrams depend on it.
-            self.route.request_reopen(EventCode.ROUTE_RELIABILITY_CHANGED, f"its publishers offer {reliable} now")
+            route.request_reopen(EventCode.ROUTE_RELIABILITY_CHANGED, f"its publishers offer {reliable} now")
             return
-        if described != self._described:
+        if described != before:
             self.subscription.unsubscribe()
-            self.route.life.handle(RouteEvent.DESCRIBE)
+            route.life.handle(RouteEvent.DESCRIBE)
             self._describe(described)
-        if self.route.life.phase is not RoutePhase.READY:
+        if route.life.phase is not RoutePhase.READY:
             return
         self._look_who_is_present()
         if self.carried.channel is None:
-            self.route.peer.open_channel(self.route)
-        crossing = self.route.crossing
+            route.peer.open_channel(route)
+        crossing = route.crossing
         if crossing.flows:
             self._subscribe()
         elif crossing.is_held_back:
@@ -215,9 +210,8 @@ class Sender:
         self._unwanted = False
         self.flow.silence.rearm(self.route.context.now())
         self.route.judge_again()
-        self.route.log(
-            Level.INFO, EventCode.ROUTE_CONNECTED, f"→ {self.route.transport.name} connected ({self.carried.type_name})"
-        )
+        text = f"→ {self.route.transport.name} connected ({self.carried.type_name})"
+        self.route.log(Level.INFO, EventCode.ROUTE_CONNECTED, text)
 
     def _end_subscription(self) -> None:
         self._told = self.path.histories = None
@@ -248,7 +242,6 @@ class Sender:
         self.counts.disarmed()
 
     def open(self) -> None:
-        """Begin a new opening."""
         self._last_report = None
         # What was refused had nothing to lose before this opening.
         self._unwanted = self._unwanted or bool(self.route.reopening.refused)
@@ -295,25 +288,21 @@ class Sender:
     @property
     def _profile_limits(self) -> bool:
         """Whether the link profile's limit is for it: it has none and may lose messages."""
-        return (
-            self.flow.qos is not None
-            and self.flow.qos.reliability == "best_effort"
-            and not self.route.proposal.max_rate
-        )
+        qos = self.flow.qos
+        return qos is not None and qos.reliability == "best_effort" and not self.route.proposal.max_rate
 
     def measure(self, now: float, crossing: Crossing, *, learns: bool) -> None:
         flows, ledger = crossing.flows, self.facts.ledger
         awaited = self.subscription.receives if flows else self.facts.lacks_publisher(crossing)
         # A latched topic may be silent for any time, unless an operator expects a rate.
         usual = None if self.flow.is_latched else self.route.meter.usual_rate
-        last = self.flow.silence.watch.quiet_since
         self.health.judge(
             self.route,
             ledger,
             now,
             self.carried.endpoints,
             usual_rate=usual,
-            quiet_since=last,
+            quiet_since=self.flow.silence.watch.quiet_since,
             flows=flows,
             awaited=awaited,
         )
@@ -340,9 +329,8 @@ class Sender:
         late = self.route.age.late()
         # Only a new subscription has no message from before it, so that an earlier stamp proves a wrong clock.
         if late is not None and late.cause is Cause.PUBLISHER_STAMPS_OLD:
-            self.route.request_reopen(
-                EventCode.ROUTE_CLOCK_SET, "this side's clock was set, and publishers' stamps seem old"
-            )
+            text = "this side's clock was set, and publishers' stamps seem old"
+            self.route.request_reopen(EventCode.ROUTE_CLOCK_SET, text)
 
     def suspend(self) -> None:
         self.backlog.begin(self.counts.dropped[OUTAGE])
@@ -416,7 +404,6 @@ class Sender:
         self.counts.receiver_left()
 
     def news(self) -> SentReport | None:
-        """Return the report to send to the peer now, or None if nothing has changed."""
         ledger = self.facts.ledger
         report = SentReport(
             route=self.route.id,

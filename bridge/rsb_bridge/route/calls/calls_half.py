@@ -76,7 +76,6 @@ class CallsHalf:
         self._end.proceed()
 
     def open(self) -> None:
-        """Begin a new opening."""
         self._last_report = self.types.last_malformed = None
         self.flow.open()
 
