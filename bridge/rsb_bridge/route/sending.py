@@ -459,6 +459,7 @@ class OutgoingPath:
 
     Attributes:
         traffic: the messages that the topic wants to send.
+        unpause: sends the latched messages that have become due while the route was paused.
         histories: of a latched topic's publishers in the present opening, or None for a volatile topic.
         gates: all that are on.
     """
@@ -472,6 +473,7 @@ class OutgoingPath:
         self.traffic = TrafficMeter(context.now())
         self._throttle = Throttle(route.limit.rate)
         self._latest_later = LatestLater(context.loop, self._throttle, self._send_latched, route.pausing)
+        self.unpause = self._latest_later.resume
         self._last_later = LastLater(context.loop, self._throttle, self._pass_last)
         self._outbox = Outbox(flow, ledger, backlog)
         self._compressor = zstandard.ZstdCompressor(_ZSTD_LEVEL) if route.proposal.compression == "zstd" else None
@@ -654,10 +656,6 @@ class OutgoingPath:
     def resume(self) -> None:
         """Go on, as the link is back."""
         self._outbox.resume(self._context.now())
-
-    def unpause(self) -> None:
-        """Send the latched messages that have become due while the route was paused."""
-        self._latest_later.resume()
 
     def clear_later(self) -> int:
         """Drop the messages that wait for the rate limit, and return their number."""

@@ -233,9 +233,11 @@ class SenderFacts(TopicFacts):
 
     @property
     def breaking(self) -> str:
-        repeated, fullness = self.route.losses.repeated, self.route.peer.fullness
+        losses, fullness = self.route.losses, self.route.peer.fullness
         # A full link crowds a topic out until its connection breaks; the text would blame firewalls.
-        return "" if repeated and (fullness.out is not None or fullness.undecided) else repeated
+        if not losses.reasons or fullness.out is not None or fullness.undecided:
+            return ""
+        return losses.repeated
 
     @property
     def velocity(self) -> Velocity | None:

@@ -72,6 +72,7 @@ class TopicSubscription:
         self._loop_filter = loop_filter
         self._type = TypeUse(context.ros, route.peer.budget.types)
         self._found = found
+        self._is_automatic = route.proposal.qos is None  # depths are chosen here
         self._receiver = _Receiver(path.offer)
         self._subscription: LastingSubscription | None = None
         self._depth = 0
@@ -197,11 +198,6 @@ class TopicSubscription:
             text = f"DDS lost messages: the subscription gets a depth of {depth:,} instead of {before:,}"
             self._route.log(Level.INFO, EventCode.ROUTE_DEEPENED, text)
             self._subscription.reopen()
-
-    @property
-    def _is_automatic(self) -> bool:
-        """Whether depths are chosen here instead of by the QoS."""
-        return self._route.proposal.qos is None
 
     @property
     def _is_deepened(self) -> bool:

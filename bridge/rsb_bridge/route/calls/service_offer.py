@@ -241,10 +241,11 @@ class ServiceOffer:
 
     def _log(self, was_offered: bool) -> None:
         """Log that it is offered now, or no longer."""
-        if self.offered and not was_offered:
+        offered = self.offered
+        if offered and not was_offered:
             text = f"offered here; calls go over {self._route.transport.name}"
             self._route.log(Level.INFO, EventCode.ROUTE_OFFERED, text)
-        elif was_offered and not self.offered:
+        elif was_offered and not offered:
             self._route.log(Level.INFO, EventCode.ROUTE_WITHDRAWN, "no longer offered")
 
     def failed(self, error: RosError) -> None:
