@@ -12,7 +12,7 @@ from textual.pilot import Pilot
 
 from rsb_bridge.model.snapshot import LinkSnapshot, RefusedClient, RouteSnapshot, Snapshot, State
 from rsb_bridge.model.verdict import Cause, Verdict
-from rsb_bridge.route.topic_verdict import no_publisher
+from rsb_bridge.route.resolving import no_publisher
 from rsb_console.app import ConsoleApp
 from rsb_console.widgets.fault_pane import Heights, MoreKeys, fault_lines, faults_of, link_fault
 

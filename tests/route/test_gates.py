@@ -171,12 +171,8 @@ def test_what_passes_budget_has_its_place_in_it() -> None:
     assert budget_gate(full)(Request(b"", b"", 0), 0.0) is Refused.TOO_FAST
 
 
-class _CarriesFive:
-    largest = 5
-
-
 def test_the_size_gate_passes_what_the_transport_carries() -> None:
-    gate = size_gate(_CarriesFive())
+    gate = size_gate(5)
     assert gate(Request(b"12345", b"", 0), 0.0) is None
     assert gate(Request(b"123456", b"", 0), 0.0) is Refused.TOO_LARGE
 
@@ -330,16 +326,16 @@ def test_calls_pass_them_from_callers_to_the_channel(make_context: Callable[...,
     """A call that stops or watches a robot always passes."""
     half = calls(make_context(), Caller)
     fast, slow = CallRateGate(0.0, 0.0), CallRateGate(10.0, 0.0)
-    assert order(calling_gates(half.route, _CarriesFive(), fast, limited=True).arriving) == [
+    assert order(calling_gates(half.route, 5, fast, limited=True).arriving) == [
         pause_gate,
         size_gate,
         budget_gate,
     ]
     everything_on(half.route)
-    arriving, leaving = map(order, calling_gates(half.route, _CarriesFive(), slow, limited=True))
+    arriving, leaving = map(order, calling_gates(half.route, 5, slow, limited=True))
     assert arriving == [pause_gate, armed_gate, young_gate, size_gate, CallRateGate, budget_gate]
     assert leaving == [young_gate]
-    arriving, leaving = map(order, calling_gates(half.route, _CarriesFive(), slow, limited=False))
+    arriving, leaving = map(order, calling_gates(half.route, 5, slow, limited=False))
     assert (arriving, leaving) == ([size_gate, budget_gate], [])
 
 

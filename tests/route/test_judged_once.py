@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.context import Context
     from rsb_bridge.route.crossing import Crossing
-    from rsb_bridge.route.sender_facts import SenderFacts
+    from rsb_bridge.route.topic_facts import SenderFacts
 
 
 def test_snapshots_keep_verdict_until_change(

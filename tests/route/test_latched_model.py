@@ -233,6 +233,7 @@ class Route:
             peer=FakePeer(),
             meter=self.meter,
             arming=SimpleNamespace(required=False),
+            proposal=SimpleNamespace(qos=None),
             log=lambda *_: pytest.fail("the subscription did not fail"),
         )
         loop_filter: Any = SimpleNamespace(alive_left_out=lambda qos: 0)
@@ -242,7 +243,7 @@ class Route:
         qos = msgspec.structs.replace(LATCHED, lifespan=self.near.lifespan)
         subject = TopicSpec("/latched", "std_msgs/msg/String", "", qos)
         self.topic.opened()
-        self.subscription.begin(subject, automatic=True, expected_rate=None, known=self.topic.newest())
+        self.subscription.begin(subject, known=self.topic.newest())
         self.subscription.subscribe(missed=False)
 
     def offer(self, batch: Sequence[RawMessage]) -> None:

@@ -26,12 +26,9 @@ from rsb_bridge.route.combined_verdict import CombinedVerdict, lasting, record_o
 from rsb_bridge.route.crossing import Crossing
 from rsb_bridge.route.lateness import QUEUE, WAY, Late, late_verdict
 from rsb_bridge.route.lease import Standstill
-from rsb_bridge.route.topic_verdict import (
-    PUBLISHED_NOTHING,
-    STOPPED_PUBLISHING,
-    USE_TCP,
-    audience,
-)
+from rsb_bridge.route.listeners import audience
+from rsb_bridge.route.sending import USE_TCP
+from rsb_bridge.route.topic_verdict import PUBLISHED_NOTHING, STOPPED_PUBLISHING
 from rsb_bridge.telemetry.watches import Loss
 from rsb_bridge.wire.records import DeafRecord, ReceivedReport, VerdictRecord
 from rsb_console.notation import formats
@@ -149,7 +146,7 @@ def test_a_route_that_flows_is_fine() -> None:
         (SENDER, {"loss": LOST, "full": FULL}, State.SLOW, Cause.LOSSY, [FULL.share]),
         (SENDER, {"loss": LOST, "loss_of_full_link": True}, State.SLOW, Cause.LOSSY, []),
         (SENDER, {"loss": LOST, "loss_unexplained": True}, State.SLOW, Cause.LOSSY, []),
-        (SENDER, {"loss": Loss(9, 10, "too large", 0.0), "remedy_for_size": "X"}, State.SLOW, Cause.TOO_LARGE, ["X"]),
+        (SENDER, {"loss": Loss(9, 10, "too large", 0.0)}, State.SLOW, Cause.TOO_LARGE, ["compression: zstd"]),
         (SENDER, {"sent": 0, "undelivered": "70 MB"}, State.DOWN, Cause.TOO_LARGE, ["70 MB"]),
         (SENDER, {"sent": 5, "undelivered": "70 MB"}, State.OK, Cause.NONE, []),
         (SENDER, {"sent": 5, "undelivered": "70 MB", "qos": LATCHED, "endpoints": [endpoint("/talker", LATCHED)]},

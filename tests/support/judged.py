@@ -14,6 +14,7 @@ from rsb_bridge.route.blocking_rules import judge, stages_with_link
 from rsb_bridge.route.calls.calls_verdict import OF_CALLS
 from rsb_bridge.route.crossing import Crossing
 from rsb_bridge.route.topic_verdict import OF_RECEIVER, OF_SENDER
+from rsb_bridge.wire.framing import MESSAGE_LIMIT
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -69,7 +70,7 @@ _OF_TOPIC: dict[str, Any] = {
     "left": 0,
     "loss": None,
     "datagrams": 0,
-    "remedy_for_size": "",
+    "compression": "none",
     "armed": False,
     "late": None,
     "expired": None,
@@ -118,15 +119,18 @@ def topic_half(now: float = 0.0, **facts: Any) -> Any:
         lost_in_dds=lambda: known["lost_in_dds"],
     )
     half.drivers = SimpleNamespace(several=known["drivers"], here=known["drivers"], there=())
-    half.backlog = SimpleNamespace(exists=known["left"] > 0, left=known["left"])
+    backlog = SimpleNamespace(exists=known["left"] > 0, left=known["left"])
+    half.path = SimpleNamespace(backlog=backlog)
     half.stale_since = lambda crossing: known["stale_since"]
     half.late = lambda: known["late"]
     half.was_full_since = lambda since: known["loss_of_full_link"]
-    for name in ("why_unresolved", "datagrams", "remedy_for_size"):
-        setattr(half, name, _always(known[name]))
+    half.why, half.datagrams = _always(known["why_unresolved"]), _always(known["datagrams"])
+    half.failure, half.is_unmatched = known["subscribe_failed"], known["unmatched"]
+    half.proposal = SimpleNamespace(compression=known["compression"])
+    half.resolver = half.subscription = half
     for name in (
-        "endpoints", "type_name", "qos", "unresolved", "similar", "subscribe_failed", "unmatched", "audience", "others",
-        "clocks", "malformed", "loss_unexplained",
+        "endpoints", "type_name", "qos", "unresolved", "similar", "unmatched", "audience", "others", "clocks",
+        "malformed", "loss_unexplained",
     ):  # fmt: skip
         setattr(half, name, known[name])
     return half
@@ -144,11 +148,13 @@ def calls_half(now: float = 0.0, **facts: Any) -> Any:
     half.failures = SimpleNamespace(since=known["failing_since"])
     half.call_timeout = known["timeout"]
     half.last_malformed = lambda: known["malformed"]
+    known_and_offered = Stage("type known", True), Stage("offered", known["offered"] or None)
     half.end = SimpleNamespace(
         offered=known["offered"],
         warning=known["warning"],
         unavailable=_always(known["unavailable"]),
         nodes=_always(((), known["providers"])),
+        stages=_always((Stage("server seen", True, ", ".join(known["providers"])), *known_and_offered)),
     )
     half.stages = lambda: stages_with_link(half, (), (Stage("offered", None),))
     half.waited = known["waited"]
@@ -176,7 +182,7 @@ def _half(known: dict[str, Any], now: float) -> Any:
             suspended_since=None,
             path=SimpleNamespace(fault=known["path"]),
         ),
-        transport=SimpleNamespace(reliable=True),
+        transport=SimpleNamespace(reliable=True, largest_message=MESSAGE_LIMIT),
         life=SimpleNamespace(
             accepted=bool(known["accepted"]), refusal=refusal if known["accepted"] is False else NO_REASON
         ),

@@ -23,8 +23,7 @@ from rsb_bridge.model.session import RANKS, Topic, priority_of
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.topic_keys import TOPIC_KEYS
 from rsb_bridge.model.transports import NO_PROFILE, compression_of
-from rsb_bridge.route.entry import Entry
-from rsb_bridge.route.route import route_key
+from rsb_bridge.route.route import Entry, route_key
 from rsb_bridge.wire.messages import Amend, Propose
 
 if TYPE_CHECKING:

@@ -160,17 +160,9 @@ class CallRateGate:
         return None if self._bucket.take(1.0, now) else Refused.TOO_FAST
 
 
-class Carries(Protocol):
-    """A sender of calls, as far as gates know it."""
-
-    @property
-    def largest(self) -> int:
-        """Bytes of the largest call that the transport carries."""
-
-
-def size_gate(outbox: Carries) -> Gate[Request]:
-    """Pass requests that the transport carries."""
-    return lambda request, _: Refused.TOO_LARGE if len(request.payload) > outbox.largest else None
+def size_gate(largest: int) -> Gate[Request]:
+    """Pass requests of at most `largest` bytes, which the transport carries."""
+    return lambda request, _: Refused.TOO_LARGE if len(request.payload) > largest else None
 
 
 def budget_gate(budget: CallBudget) -> Gate[Request | CallFrame]:
@@ -396,9 +388,9 @@ class CallingGates(NamedTuple):
     leaving: Gates  # right before the channel gets it
 
 
-def calling_gates(route: Route, outbox: Carries, rate: CallRateGate, *, limited: bool) -> CallingGates:
+def calling_gates(route: Route, largest: int, rate: CallRateGate, *, limited: bool) -> CallingGates:
     """Return the gates of calls from ROS to the channel."""
-    fits, budget = size_gate(outbox), budget_gate(route.peer.budget.asked)
+    fits, budget = size_gate(largest), budget_gate(route.peer.budget.asked)
     if not limited:
         return CallingGates((fits, budget), ())
     young: Gates = (young_gate(route.age),) if route.age.is_on else ()

@@ -14,7 +14,7 @@ from rsb_bridge.model.names import expand_type_name
 from rsb_bridge.model.qos import match_publishers
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.verdict import Cause
-from rsb_bridge.route.topic_verdict import no_publisher, nodes_by
+from rsb_bridge.route.combined_verdict import nodes_by
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.ros_interface import Endpoint
     from rsb_bridge.route.loop_filter import LoopFilter
     from rsb_bridge.wire.messages import Propose
+
 _MOST_NODES, _MOST_TYPES = 3, 4  # named of each type, and in one sentence
 
 
@@ -125,6 +126,12 @@ class Resolver:
         if similar and self._nodes and self._nodes.isdisjoint(p.node for p in self._context.ros.publishers(similar)):
             return ""
         return similar
+
+
+def no_publisher(topic: str, domain_id: int, similar: str = "", *, gone: bool = False) -> str:
+    """Says that nobody publishes a topic, or no longer."""
+    hint = f"; did you mean {similar}?" if similar else ""
+    return f"no publisher of {topic} in domain {domain_id}{' any more' if gone else ''}{hint}"
 
 
 def choose_type(
