@@ -4,7 +4,8 @@
 # ros-rclpy 7.1.6 with rmw_fastrtps_cpp 8.4.3, from PyPI. A client's reader on Fast DDS gets each answer of the service.
 # One for another client comes out of `take_response` as None, as if nothing more were there: a program that takes until
 # None stops before its own answer. The answers for others also push its own out of the ten that a reader keeps, and
-# rclpy's future then never ends. Whoever calls a service that others use often, and does not spin all the time, feels it.
+# rclpy's future then never ends. A client that spins seldom, of a service that others call often, feels it;
+# `create_client(..., qos_profile=QoSProfile(depth=100))` helps.
 set -euo pipefail
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT

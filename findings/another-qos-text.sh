@@ -2,7 +2,7 @@
 # rosbags counts the messages of a bag, and yields none of them.
 #
 # rosbags 0.11.9, from PyPI. Of a folder, a topic in metadata.yaml and a channel in the MCAP file belong together if their
-# QoS is the same, too. They differ if one of the two has none, as when another program has written the MCAP file anew, or
+# QoS is the same, too. They differ if one of the two has none, as when another program has rewritten the MCAP file, or
 # metadata.yaml was made by hand. Nothing is said. `AnyReader([Path("bag/bag.mcap")])`, the file instead of the folder, reads all.
 set -euo pipefail
 folder=$(mktemp -d)
@@ -52,14 +52,14 @@ with (BAG / "bag.mcap").open("wb") as file:
     for *_, message in messages:
         writer.add_message(channel, message.log_time, message.data, message.publish_time)
     writer.finish()
-show("the same messages, written anew by mcap, the folder", BAG)
-show("the same messages, written anew by mcap, the file", BAG / "bag.mcap")
+show("the same messages, rewritten by mcap, the folder", BAG)
+show("the same messages, rewritten by mcap, the file", BAG / "bag.mcap")
 PYTHON
 
 cat >expected <<'TEXT'
 rosbags 0.11.9 mcap 1.6.0
 as written by rosbags: counts 3, yields 3
-the same messages, written anew by mcap, the folder: counts 3, yields 0
-the same messages, written anew by mcap, the file: counts 3, yields 3
+the same messages, rewritten by mcap, the folder: counts 3, yields 0
+the same messages, rewritten by mcap, the file: counts 3, yields 3
 TEXT
 venv/bin/python program.py | diff expected - && echo "as seen" || { echo "not as seen (< then, > now)"; exit 1; }

@@ -2,8 +2,8 @@
 # ros2-pyterfaces' backend `cydr` gives empty clouds and empty diagnostics.
 #
 # ros2-pyterfaces 0.3.0, from PyPI. Its backend `cyclone` writes and reads these messages rightly. In `cydr`, the types of a
-# cloud and of diagnostics have no fields, as they hold sequences of other messages. There is no error, and what it read
-# it writes as an empty message. It compiles each type when it is used, so the script needs a C compiler.
+# cloud and of diagnostics have no fields. There is no error, and it writes a message that it has read as an empty one. It
+# compiles each type when it is used, so the script needs a C compiler.
 set -euo pipefail
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT

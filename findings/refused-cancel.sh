@@ -1,9 +1,8 @@
 #!/usr/bin/env bash
 # An action server that refuses to cancel says that there was no error.
 #
-# ros-rclpy 7.1.6, from PyPI. `action_msgs/srv/CancelGoal` has ERROR_REJECTED for it, and rclpy's servers refuse each
-# cancel unless they are given a callback, as the default callback does. The response then has ERROR_NONE and an empty
-# list of goals that are being cancelled: only the list tells. A client that asks the code alone believes that the robot
+# ros-rclpy 7.1.6, from PyPI. `action_msgs/srv/CancelGoal` has ERROR_REJECTED for it. rclpy's default callback refuses each
+# cancel, and the response then has ERROR_NONE and an empty list of goals that are being cancelled: only the list tells. A client that asks the code alone believes that the robot
 # is about to stop.
 set -euo pipefail
 folder=$(mktemp -d)

@@ -1,9 +1,9 @@
 #!/usr/bin/env bash
 # rclpy's serialize_message gives more bytes than a publisher sends, and rosbags refuses such a message.
 #
-# ros-rclpy 7.1.6 with rmw_fastrtps_cpp 8.4.3 and rosbags 0.11.9, from PyPI. `rmw_serialize` returns its estimate of the
-# length, which counts the alignment of elements that an empty sequence of 8-byte numbers does not have; the bytes behind
-# the message are whatever the buffer held. A publisher sends the exact length. `ros2 bag record` writes what was sent,
+# ros-rclpy 7.1.6 with rmw_fastrtps_cpp 8.4.3 and rosbags 0.11.9, from PyPI. The length that
+# `rmw_serialize` returns is too large where a sequence of 8-byte numbers is empty, and the bytes behind the message are
+# whatever the buffer held. A publisher sends the exact length. `ros2 bag record` writes what was sent,
 # but a program that writes a bag by itself usually writes `serialize_message(...)`. rosbags takes up to 3 bytes too many.
 set -euo pipefail
 folder=$(mktemp -d)

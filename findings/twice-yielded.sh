@@ -1,16 +1,16 @@
 #!/usr/bin/env bash
 # bagx gives messages twice if one of the file cannot be decoded.
 #
-# bagx 0.6.0 with mcap-ros2-support 0.6.0, from PyPI; rosbags 0.11.9 serializes. It decodes a file until something fails,
-# and then begins again at the first message without the decoder: what came before is yielded a second time, and has no
+# bagx 0.6.0 with mcap-ros2-support 0.6.0, from PyPI; mcap 1.6.0 writes the file. It decodes a file until something fails,
+# and then begins again at the first message without the decoder: earlier messages are yielded a second time, and have no
 # fields. A topic with a `wstring`, which the decoder does not know, is enough. Rates that are computed from it double.
+# `read_messages(topics=[...])` without that topic gives each once.
 set -euo pipefail
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
 cd "$folder"
 "${PYTHON:-python3}" -m venv venv
-venv/bin/pip install -q --no-compile --index-url https://pypi.org/simple bagx==0.6.0 mcap==1.6.0 mcap-ros2-support==0.6.0 \
-    rosbags==0.11.9
+venv/bin/pip install -q --no-compile --index-url https://pypi.org/simple bagx==0.6.0 mcap==1.6.0 mcap-ros2-support==0.6.0
 
 cat >program.py <<'PYTHON'
 from collections import Counter

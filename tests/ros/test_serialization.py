@@ -69,7 +69,7 @@ def test_padding_of_every_installed_type_is_zero() -> None:
         expected = (0 if left else byte for byte, left in zip(bytes.fromhex(theirs), unwritten, strict=True))
         assert bytes(expected)[: end + -end % 4].hex() == ours
     assert padded > 100  # or the memory shows nothing
-    assert longer  # of rmw_fastrtps_cpp, which estimates the length
+    assert longer  # of rmw_fastrtps_cpp, which counts too much
 
 
 def test_strict_reader_takes_a_message_with_an_empty_sequence_of_numbers() -> None:
