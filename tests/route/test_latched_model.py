@@ -18,6 +18,7 @@ from tests.support.virtual_time import VirtualClock, VirtualLoop, virtual_loop
 from rsb_bridge.context import Context
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Session
+from rsb_bridge.ros.discovery import Discovery
 from rsb_bridge.ros.ros_interface import RawMessage, TopicSpec
 from rsb_bridge.ros.ros_thread import RosToLoopQueue
 from rsb_bridge.route.latched import PUBLISHER_COST, LatchedFullError, LatchedTopic
@@ -54,6 +55,7 @@ class NearDds:
 
     node_name = "_rsb_robot1_0123abcd"
     shortfalls: tuple[str, ...] = ()
+    discovery = Discovery({})
 
     def __init__(self, loop: VirtualLoop, random: Random, lifespan: float) -> None:
         self.loop = loop

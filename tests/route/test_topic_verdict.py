@@ -50,11 +50,11 @@ def endpoint(node: str, qos: Qos = RELIABLE, type_name: str = STRING, type_hash:
 
 TALKER = endpoint("/talker")
 SENDER: dict[str, Any] = {
-    "sends": True, "topic": "/chat", "domain_id": 2, "accepted": True, "crossing": Crossing.YES, "came": True,
+    "sends": True, "topic": "/chat", "domain": "2", "accepted": True, "crossing": Crossing.YES, "came": True,
     "endpoints": [TALKER], "described": True, "type_name": STRING, "qos": RELIABLE,
 }  # fmt: skip
 RECEIVER: dict[str, Any] = SENDER | {
-    "sends": False, "topic": "/robot1/chat", "domain_id": 3, "endpoints": [endpoint("/rviz")],
+    "sends": False, "topic": "/robot1/chat", "domain": "3", "endpoints": [endpoint("/rviz")],
 }  # fmt: skip
 
 

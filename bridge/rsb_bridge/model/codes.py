@@ -35,6 +35,8 @@ class EventCode(StrEnum):
     """The ROS side has ended by itself, and the engine with it."""
     ENGINE_ROS_LIMITED = "engine.ros_limited"
     """Something does not work with this distribution or middleware."""
+    ENGINE_DISCOVERY = "engine.discovery"
+    """How DDS finds nodes here, where the environment says so, and whether that works; the text says it."""
     ENGINE_SUBSCRIBE_FAILED = "engine.subscribe_failed"
     """A subscription of the engine's own failed; it is opened again."""
 

@@ -111,7 +111,7 @@ class Resolver:
 
     def no_publisher(self) -> str:
         """Return a text that says that the topic has no publisher."""
-        return no_publisher(self._proposal.topic, self._context.domain_id, self.similar)
+        return no_publisher(self._proposal.topic, self._context.domain, self.similar)
 
     @property
     def similar(self) -> str:

@@ -186,19 +186,19 @@ def audience(type_name: str, offered: Qos, subscriptions: Iterable[Endpoint], co
     return Audience(count, node_names(hearing), tuple(Deaf(*each) for each in sorted(deaf)[:NODES]))
 
 
-def no_publisher(topic: str, domain_id: int, similar: str = "", *, gone: bool = False) -> str:
-    """Says that nobody publishes a topic, or no longer."""
+def no_publisher(topic: str, domain: str, similar: str = "", *, gone: bool = False) -> str:
+    """Says that nobody publishes a topic, or no longer, in this side's domain (`Context.domain`)."""
     hint = f"; did you mean {similar}?" if similar else ""
-    return f"no publisher of {topic} in domain {domain_id}{' any more' if gone else ''}{hint}"
+    return f"no publisher of {topic} in domain {domain}{' any more' if gone else ''}{hint}"
 
 
-def no_subscriber(topic: str, domain_id: int | None, present: Collection[object] = ()) -> str:
+def no_subscriber(topic: str, domain: str | None, present: Collection[object] = ()) -> str:
     """Says that nobody hears a topic, whether somebody subscribes to it or not.
 
     Args:
-        domain_id: this side's, or None if it is the other side's subscribers that do not hear it.
+        domain: this side's (`Context.domain`), or None if it is the other side's subscribers that do not hear it.
     """
-    where = "there" if domain_id is None else f"in domain {domain_id}"
+    where = "there" if domain is None else f"in domain {domain}"
     return (
         f"nothing from the bridge reaches the subscribers of {topic} {where}"
         if present
@@ -385,7 +385,7 @@ def _nobody(half: SendingTopic) -> Cause:
 
 
 def _no_publisher(half: SendingTopic, *, gone: bool = False) -> str:
-    return no_publisher(half.route.local_topic, half.route.context.domain_id, half.similar, gone=gone)
+    return no_publisher(half.route.local_topic, half.route.context.domain, half.similar, gone=gone)
 
 
 def _slow(half: SendingTopic, _: Crossing) -> Verdict | None:
@@ -488,7 +488,7 @@ def _subscribers(half: ReceivingTopic, _: Crossing) -> Verdict | None:
         )
     if not half.carried.endpoints and not half.flow.audience.count and half.came:
         return Verdict(
-            State.UNHEARD, Cause.NO_SUBSCRIBER, no_subscriber(half.route.local_topic, half.route.context.domain_id)
+            State.UNHEARD, Cause.NO_SUBSCRIBER, no_subscriber(half.route.local_topic, half.route.context.domain)
         )
     return None
 
