@@ -423,7 +423,16 @@ def test_words_of_newer_peer_stand_as_given() -> None:
 
 @pytest.mark.parametrize(
     ("seconds", "words"),
-    [(0.2, "1 s"), (9.9, "9 s"), (10, "10 s"), (39, "30 s"), (61, "1 min"), (3599, "59 min"), (9000, "2 h")],
+    [
+        (0.2, "1 s"),
+        (9.9, "9 s"),
+        (10, "10 s"),
+        (39, "30 s"),
+        (61, "1 min"),
+        (3599, "59 min"),
+        (9000, "2 h"),
+        (6.3e7, "729 d"),
+    ],
 )
 def test_durations_change_seldom(seconds: float, words: str) -> None:
     assert about(seconds) == words

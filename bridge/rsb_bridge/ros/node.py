@@ -16,7 +16,7 @@ from weakref import WeakSet
 from rsb_bridge.model.qos import incompatible
 from rsb_bridge.ros.discovery import Discovery, whole_graph
 from rsb_bridge.ros.distribution import check_middleware
-from rsb_bridge.ros.memory import histories_that_shrink, large_blocks_kept
+from rsb_bridge.ros.memory import check_shared_memory, histories_that_shrink, large_blocks_kept
 from rsb_bridge.ros.native.shared_memory import ReadPorts
 from rsb_bridge.ros.native.typesupport import hash_of, installed_class, installed_service, service_hash_of
 from rsb_bridge.ros.ros_interface import BATCH, Liveliness, RawMessage, Request, Response, RosError, RosProblem
@@ -119,8 +119,9 @@ class RosNode:
         Raises:
             RosError: rclpy or the middleware is missing, or the domain could not be joined.
         """
-        # Before rclpy is loaded: with a wrong middleware, loading it would end the process.
+        # Before rclpy is loaded, as loading it would end the process.
         check_middleware(os.environ)
+        check_shared_memory()
         try:
             from rsb_bridge.ros.participant import Participant  # noqa: PLC0415  only a node that starts needs rclpy
         except ImportError as error:

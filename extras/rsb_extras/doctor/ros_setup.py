@@ -17,7 +17,7 @@ from rsb_bridge.model.limits import DOMAIN, SAFE_DOMAIN, dds_ports
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.ros.discovery import RANGE, SERVERS, SUPER_CLIENT, Discovery, DiscoveryText, is_off
 from rsb_bridge.ros.distribution import check_middleware, described, distribution, rclpy_version
-from rsb_bridge.ros.memory import PROFILE_VARIABLES
+from rsb_bridge.ros.memory import PROFILE_VARIABLES, check_shared_memory
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.ros.security import Security
 
@@ -95,8 +95,9 @@ def _ros(environ: Mapping[str, str], self_test: Sequence[str], root: Path) -> It
     facts = {"distribution": distribution(), "rclpy": rclpy_version()}
     finding = partial(Finding, "ros", subject="ROS", facts=facts)
     try:
-        # Before the self-test: rcl ends the process of a wrong middleware without a word on the remedy.
+        # Before the self-test, whose process would end without a word on the remedy.
         check_middleware(environ)
+        check_shared_memory()
     except RosError as error:
         yield finding(grade=Grade.ERROR, text=str(error))
         return
