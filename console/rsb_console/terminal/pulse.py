@@ -132,6 +132,15 @@ class Pulse:
         """
         self._doubted_at = self._clock()
 
+    def is_over(self, moment: float) -> bool:
+        """Whether all has come that the terminal sent with what came at a moment (s).
+
+        It has answered a later question then. Where answers prove nothing, or nobody asks, `FRESH_FOR` has to pass.
+        """
+        if self.relayed or self.asked < moment:
+            return self._clock() - moment > FRESH_FOR
+        return self.heard >= moment
+
     @property
     def waits(self) -> bool:
         """Whether an answer is due from a terminal that gives answers."""
