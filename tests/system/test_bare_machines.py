@@ -14,7 +14,7 @@ from rsb_bridge.config.keys import write_key
 from rsb_bridge.config.session_file import save
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Session
-from rsb_bridge.ros.memory import MemoryProblem
+from rsb_bridge.ros.distribution import MemoryProblem
 from rsb_bridge.transport.network_news import NameText
 
 _COMMAND = Path(sys.executable).with_name("rsb-console")

@@ -1,17 +1,13 @@
-"""Memory: the room that ROS needs, what DDS and the heap keep of large messages, and when that goes back."""
+"""Memory of large messages: what DDS's histories and the heap keep of it, and when it goes back to the kernel."""
 
 from __future__ import annotations
 
 import ctypes
-import os
 import sys
 import threading
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-from rsb_bridge.model.wording import Wording
-from rsb_bridge.ros.ros_interface import RosError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, MutableMapping
@@ -24,10 +20,6 @@ _FAST_DDS_2 = "libfastrtps.so"
 _FOUND_BY_FAST_DDS = Path("DEFAULT_FASTRTPS_PROFILES.xml"), Path("DEFAULT_FASTDDS_PROFILES.xml")
 """Files in the working directory, which Fast DDS loads by itself."""
 
-SHARED = Path("/dev/shm")  # noqa: S108 -- where the C library has it
-_LEAST_SHARED = 64 << 10
-"""Bytes. With 4 kB free, the process ends; with 8 kB Fast DDS does without shared memory. A round figure above."""
-
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 _LARGEST_ON_HEAP = 32 << 20
 """Bytes of a block that comes from the heap; it is the most that glibc allows."""
@@ -37,33 +29,6 @@ _LITTLE_FREE_HEAP = 8 << 20
 """Bytes that may stay free. A round figure: one message of 6 MB comes and goes without the kernel."""
 _HEAP_TRIMMED_EVERY = 8.0
 """Seconds between trims. A trim of 60 MB costs 10 ms, and as much to grow again."""
-
-
-class MemoryProblem(Wording):
-    """The reasons why ROS would end the process while it is loaded."""
-
-    SHARED_FULL = (
-        "{folder} is full ({free} kB are free), which would end the process: make room there (rsb-console doctor names "
-        "what killed nodes have left), or in a container give more (docker run --shm-size=512m)"
-    )
-
-
-def check_shared_memory(folder: Path = SHARED) -> None:
-    """Check that shared memory has room; there may be none at all.
-
-    The libraries of ROS, and lttng with them, write to it while they are loaded. On a full file system, the kernel
-    answers with SIGBUS.
-
-    Raises:
-        RosError: it is full.
-    """
-    try:
-        system = os.statvfs(folder)
-    except OSError:
-        return
-    free = system.f_bavail * system.f_frsize
-    if free < _LEAST_SHARED:
-        raise RosError(MemoryProblem.SHARED_FULL(folder=folder, free=free // 1024))
 
 
 @contextmanager

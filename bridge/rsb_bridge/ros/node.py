@@ -15,8 +15,8 @@ from weakref import WeakSet
 
 from rsb_bridge.model.qos import incompatible
 from rsb_bridge.ros.discovery import Discovery, whole_graph
-from rsb_bridge.ros.distribution import check_middleware
-from rsb_bridge.ros.memory import check_shared_memory, histories_that_shrink, large_blocks_kept
+from rsb_bridge.ros.distribution import check_middleware, check_shared_memory
+from rsb_bridge.ros.memory import histories_that_shrink, large_blocks_kept
 from rsb_bridge.ros.native.shared_memory import ReadPorts
 from rsb_bridge.ros.native.typesupport import hash_of, installed_class, installed_service, service_hash_of
 from rsb_bridge.ros.ros_interface import BATCH, Liveliness, RawMessage, Request, Response, RosError, RosProblem

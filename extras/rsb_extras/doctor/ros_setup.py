@@ -16,8 +16,8 @@ from rsb_bridge.model.finding import Check, Finding, Grade
 from rsb_bridge.model.limits import DOMAIN, SAFE_DOMAIN, dds_ports
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.ros.discovery import RANGE, SERVERS, SUPER_CLIENT, Discovery, DiscoveryText, is_off
-from rsb_bridge.ros.distribution import check_middleware, described, distribution, rclpy_version
-from rsb_bridge.ros.memory import PROFILE_VARIABLES, check_shared_memory
+from rsb_bridge.ros.distribution import check_middleware, check_shared_memory, described, distribution, rclpy_version
+from rsb_bridge.ros.memory import PROFILE_VARIABLES
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.ros.security import Security
 
