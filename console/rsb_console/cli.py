@@ -60,7 +60,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _leave_ascii() -> None:
-    """Begin anew with UTF-8 where the locale has ASCII only, which can neither open nor print a path with an umlaut."""
+    """Start again with UTF-8 where the locale has ASCII only, which can't open or print a path with an umlaut."""
     if sys.getfilesystemencoding() == "ascii":
         os.environ["PYTHONUTF8"] = "1"  # also of the processes that this one starts
         os.execv(sys.executable, [sys.executable, "-X", "utf8", *sys.orig_argv[1:]])  # noqa: S606 -- this program

@@ -1,4 +1,4 @@
-"""How DDS finds nodes here, by the environment: discovery servers of Fast DDS, or a range that is off.
+"""Discovery of nodes by DDS, as the environment sets it: discovery servers of Fast DDS, or a range that is off.
 
 A client of a discovery server learns only of the nodes that share a topic with it. So a bridge would wait for ever for
 publishers of the topics to which it does not subscribe yet: it has to be a super client, which learns of all.
@@ -47,7 +47,7 @@ _LEAVES_BY_ITSELF = 3  # s, if the last datagram is lost
 
 
 class DiscoveryText(Wording):
-    """What operators read of discovery."""
+    """Texts about discovery, for operators."""
 
     SUPER_CLIENT = "DDS finds nodes by the {servers}: {variable} is set here, so that the bridge sees all nodes"
     OFF = "{variable}=OFF hides all nodes: unset it"
@@ -102,7 +102,7 @@ class DiscoveryServer(NamedTuple):
 
 
 class Discovery:
-    """What the environment says of finding nodes, and whether it works.
+    """Discovery in this process's environment, and whether it works.
 
     Attributes:
         servers: the discovery servers, of Fast DDS only.
@@ -168,7 +168,7 @@ def is_off(environment: Mapping[str, str]) -> bool:
 def whole_graph(environment: MutableMapping[str, str]) -> Iterator[None]:
     """Have the participant that the context creates learn of all nodes from a discovery server.
 
-    Setup files of robots export `SUPER_CLIENT` as false for whatever has no terminal, so that counts for nothing.
+    Setup files of robots export `SUPER_CLIENT` as false for processes without a terminal, so its value is ignored.
     """
     before = environment.get(SUPER_CLIENT)
     environment[SUPER_CLIENT] = "TRUE"

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 class SecurityText(Wording):
-    """What operators read of a secured domain, and the remedies."""
+    """Texts about secured domains, for operators, and the remedies."""
 
     NOT_JOINED = "{reason}: ROS_SECURITY_ENABLE is true, with keystore {keystore} and enclave {enclave}: {remedy}"
     NO_KEYSTORE = "ROS_SECURITY_ENABLE is true, but ROS_SECURITY_KEYSTORE is not set"
@@ -23,7 +23,7 @@ class SecurityText(Wording):
 
 
 class Security:
-    """What the environment demands.
+    """Security of nodes, as the environment demands it.
 
     Attributes:
         is_on: whether nodes are to be secured.

@@ -189,9 +189,9 @@ class Histories:
             publisher.arrivals.clear()
 
     def forget_gone(self, present: Collection[bytes]) -> set[bytes]:
-        """Forget publishers that have ended; return those that have not, also of what the graph has just lost.
+        """Forget publishers that have ended; return the others, among them any that the graph has lost just now.
 
-        The peer drops the histories of the others, so one that comes back begins anew.
+        The peer drops the histories of publishers that have ended, so if one returns, its whole history is sent.
         """
         now = self._loop.time()
         if self._bounds_before:

@@ -24,7 +24,7 @@ MARK = "# Written by `rsb-console service install`. `rsb-console service uninsta
 _KEPT = re.compile(r"(ROS|ROS2|RMW|RCL|FASTDDS|FASTRTPS)_\w+|CYCLONEDDS_URI|ZENOH_\w*CONFIG\w*")
 """Variables that ROS and its middlewares read from the environment; a service does not have the shell's."""
 _LEFT_OUT = frozenset({"ROS_DISTRO", "ROS_VERSION", "ROS_PYTHON_VERSION", "ROS_PACKAGE_PATH", "ROS_LOG_DIR"})
-"""Those that a setup file sets anew, and the place of logs, which the unit names itself."""
+"""Variables that each setup file sets, and the folder of logs, which the unit names itself."""
 CONFINED = (
     "CapabilityBoundingSet=",
     "ProtectSystem=strict",

@@ -133,9 +133,9 @@ class Pulse:
         self._doubted_at = self._clock()
 
     def is_over(self, moment: float) -> bool:
-        """Whether all has come that the terminal sent with what came at a moment (s).
+        """Whether the terminal has sent nothing more of the keys that began to arrive at a moment (s).
 
-        It has answered a later question then. Where answers prove nothing, or nobody asks, `FRESH_FOR` has to pass.
+        It has answered a later question by then. Where answers prove nothing, or nobody asks, `FRESH_FOR` has to pass.
         """
         if self.relayed or self.asked < moment:
             return self._clock() - moment > FRESH_FOR
