@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING, TypeVar
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, TypeVar, cast
 
 import pytest
 from tests.route.test_loop_filter import FIRST, SECOND, World, world
@@ -52,6 +53,7 @@ from rsb_bridge.route.ledger import RouteLedger
 from rsb_bridge.route.peer import CallBudget
 from rsb_bridge.route.rate_limit import AllowedRates
 from rsb_bridge.route.sending import Outbox
+from rsb_bridge.route.topic_flow import SilenceWatch
 from rsb_bridge.wire.framing import LEASED
 from rsb_bridge.wire.headers import CallFrame, HistoryHeader, What, frame_size, with_number
 
@@ -61,8 +63,9 @@ if TYPE_CHECKING:
     from tests.support.virtual_time import VirtualLoop
 
     from rsb_bridge.context import Context
-    from rsb_bridge.route.gates import Gate, Gated
+    from rsb_bridge.route.gates import Gate, Gated, Sieve
     from rsb_bridge.route.route import Route
+    from rsb_bridge.route.topic_flow import TopicFlow
     from rsb_bridge.wire.framing import Message
 
 __all__ = ["world"]
@@ -222,11 +225,16 @@ def sample_of(stamp: int, gid: bytes = FIRST, *, replayed: bool = False) -> Samp
     return Sample(HistoryHeader(bytes(8), 1, 1), RawMessage(b"kept", stamp, gid), replayed)
 
 
+def fresh_of(age: MessageAge, context: Context, ledger: RouteLedger) -> Sieve[RawMessage]:
+    route, silence = SimpleNamespace(age=age, context=context), SilenceWatch(lambda *_: None, 0.0)
+    return fresh_sieve(cast("TopicFlow", SimpleNamespace(route=route, silence=silence)), ledger)
+
+
 def test_the_fresh_sieve_asks_the_publishers_stamps(make_context: Callable[..., Context]) -> None:
     context, ledger = make_context(), RouteLedger()
     age, now = aged_half_a_second(context), context.stamps.now()
     old, young = RawMessage(b"old", now - A_SECOND), RawMessage(b"young", now)
-    sieve = fresh_sieve(age, ledger)
+    sieve = fresh_of(age, context, ledger)
     assert sieve([old, young]) == [young]
     assert (ledger.offered, ledger.expired, age.total) == (1, 1, 1)
 
@@ -243,7 +251,7 @@ def test_unsure_clock_lets_nothing_limited_pass(
     for second in range(3):
         age.update(second, float(second))
         stamped = age.stamped([RawMessage(b"young", context.wall_ns())] * 10)
-        assert len(fresh_sieve(age, ledger)(stamped)) == 10 * passed
+        assert len(fresh_of(age, context, ledger)(stamped)) == 10 * passed
     assert (ledger.offered, ledger.expired) == (30 - 30 * passed, 30 - 30 * passed)
     age.update(3, 3.0)
     late = age.late()

@@ -86,7 +86,7 @@ def test_similar_name_is_suggested_for_moved_topic() -> None:
     context = cast(
         "Any",
         SimpleNamespace(
-            domain_id=3,
+            domain="3",
             similar_topics=SimpleNamespace(of=lambda *_: "/chart"),
             ros=SimpleNamespace(publishers=lambda topic: elsewhere),
         ),
@@ -104,7 +104,7 @@ def test_similar_name_is_suggested_for_moved_topic() -> None:
 def test_a_search_without_a_result_leaves_no_circle() -> None:
     """A kept traceback leads back to the route, which then lasts until garbage is collected, with all that it has."""
     ros = SimpleNamespace(publishers=lambda topic: [], installed_hash=lambda type_name: None)
-    context = cast("Any", SimpleNamespace(domain_id=3, similar_topics=SimpleNamespace(of=lambda *_: ""), ros=ros))
+    context = cast("Any", SimpleNamespace(domain="3", similar_topics=SimpleNamespace(of=lambda *_: ""), ros=ros))
     resolver = Resolver(context, Propose(route=1, topic="/chat", remote_topic="/chat", from_client=True), lambda: None)
     gc.disable()
     try:

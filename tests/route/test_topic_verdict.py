@@ -47,11 +47,11 @@ def endpoint(node: str, qos: Qos = RELIABLE, type_name: str = STRING, type_hash:
 
 TALKER = endpoint("/talker")
 SENDER: dict[str, Any] = {
-    "sends": True, "topic": "/chat", "domain_id": 2, "accepted": True, "crossing": Crossing.YES, "came": True,
+    "sends": True, "topic": "/chat", "domain": "2", "accepted": True, "crossing": Crossing.YES, "came": True,
     "endpoints": [TALKER], "described": True, "type_name": STRING, "qos": RELIABLE,
 }  # fmt: skip
 RECEIVER: dict[str, Any] = SENDER | {
-    "sends": False, "topic": "/robot1/chat", "domain_id": 3, "endpoints": [endpoint("/rviz")],
+    "sends": False, "topic": "/robot1/chat", "domain": "3", "endpoints": [endpoint("/rviz")],
 }  # fmt: skip
 
 
@@ -420,7 +420,16 @@ def test_words_of_newer_peer_stand_as_given() -> None:
 
 @pytest.mark.parametrize(
     ("seconds", "words"),
-    [(0.2, "1 s"), (9.9, "9 s"), (10, "10 s"), (39, "30 s"), (61, "1 min"), (3599, "59 min"), (9000, "2 h")],
+    [
+        (0.2, "1 s"),
+        (9.9, "9 s"),
+        (10, "10 s"),
+        (39, "30 s"),
+        (61, "1 min"),
+        (3599, "59 min"),
+        (9000, "2 h"),
+        (6.3e7, "729 d"),
+    ],
 )
 def test_durations_change_seldom(seconds: float, words: str) -> None:
     assert about(seconds) == words

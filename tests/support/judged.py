@@ -25,7 +25,7 @@ _OF_ROUTE: dict[str, Any] = {
     "sends": True,
     "topic": "/chat",
     "far_topic": "",
-    "domain_id": 0,
+    "domain": "0",
     "link_down": None,
     "accepted": None,
     "refusal": NO_REASON,
@@ -175,7 +175,7 @@ def _half(known: dict[str, Any], now: float) -> Any:
         outgoing=known["sends"],
         local_topic=known["topic"],
         far_topic=known["far_topic"],
-        context=SimpleNamespace(domain_id=known["domain_id"], now=_always(now)),
+        context=SimpleNamespace(domain=known["domain"], now=_always(now)),
         peer=SimpleNamespace(
             linked=known["link_down"] is None,
             down_reason=known["link_down"] or "",

@@ -37,6 +37,8 @@ class EventCode(StrEnum):
     """Something does not work with this distribution or middleware."""
     ENGINE_FEATURE_LEFT_OUT = "engine.feature_left_out"
     """Something of an installed feature fails, or has a name that is taken; the text says what, and what to do."""
+    ENGINE_DISCOVERY = "engine.discovery"
+    """How DDS finds nodes here, where the environment says so, and whether that works; the text says it."""
     ENGINE_SUBSCRIBE_FAILED = "engine.subscribe_failed"
     """A subscription of the engine's own failed; it is opened again."""
 

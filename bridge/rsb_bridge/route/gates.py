@@ -192,14 +192,16 @@ def _then(first: Sieve[S], second: Sieve[S]) -> Sieve[S]:
     return lambda batch: second(first(batch))
 
 
-def fresh_sieve(age: MessageAge, ledger: RouteLedger) -> Sieve[RawMessage]:
+def fresh_sieve(flow: TopicFlow, ledger: RouteLedger) -> Sieve[RawMessage]:
     """Pass what is young enough as it comes from ROS, by its publisher's stamps."""
+    age, silence, now = flow.route.age, flow.silence, flow.route.context.now
 
     def sieve(batch: Sequence[RawMessage]) -> Sequence[RawMessage]:
         fresh = age.fresh(batch)
         if expired := len(batch) - len(fresh):
             ledger.offered += expired
             ledger.expired += expired
+            silence.seen(now())  # whoever publishes what is too old has not stopped
         return fresh
 
     return sieve
@@ -326,7 +328,7 @@ def sending_gates(
     route = flow.route
     age, ages = route.age, route.age.is_on
     # A latched topic's messages wait in its histories; their age is asked when they leave these (`kept_age_sieve`).
-    fresh = (fresh_sieve(age, ledger),) if ages and not flow.is_latched else ()
+    fresh = (fresh_sieve(flow, ledger),) if ages and not flow.is_latched else ()
     driven = (driver_sieve(flow.drivers),) if flow.drivers.are_watched else ()
     return SendingGates(
         batch=armed_gates(route),

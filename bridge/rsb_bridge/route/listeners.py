@@ -84,13 +84,13 @@ def audience(type_name: str, offered: Qos, subscriptions: Iterable[Endpoint], co
     return Audience(count, node_names(hearing), tuple(Deaf(*each) for each in sorted(deaf)[:NODES]))
 
 
-def no_subscriber(topic: str, domain_id: int | None, present: Collection[object] = ()) -> str:
+def no_subscriber(topic: str, domain: str | None, present: Collection[object] = ()) -> str:
     """Says that nobody hears a topic, whether somebody subscribes to it or not.
 
     Args:
-        domain_id: this side's, or None if it is the other side's subscribers that do not hear it.
+        domain: this side's (`Context.domain`), or None if it is the other side's subscribers that do not hear it.
     """
-    where = "there" if domain_id is None else f"in domain {domain_id}"
+    where = "there" if domain is None else f"in domain {domain}"
     return (
         f"nothing from the bridge reaches the subscribers of {topic} {where}"
         if present

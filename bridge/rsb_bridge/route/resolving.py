@@ -112,7 +112,7 @@ class Resolver:
 
     def no_publisher(self) -> str:
         """Return a text that says that the topic has no publisher."""
-        return no_publisher(self._proposal.topic, self._context.domain_id, self.similar)
+        return no_publisher(self._proposal.topic, self._context.domain, self.similar)
 
     @property
     def similar(self) -> str:
@@ -128,10 +128,10 @@ class Resolver:
         return similar
 
 
-def no_publisher(topic: str, domain_id: int, similar: str = "", *, gone: bool = False) -> str:
-    """Says that nobody publishes a topic, or no longer."""
+def no_publisher(topic: str, domain: str, similar: str = "", *, gone: bool = False) -> str:
+    """Says that nobody publishes a topic, or no longer, in this side's domain (`Context.domain`)."""
     hint = f"; did you mean {similar}?" if similar else ""
-    return f"no publisher of {topic} in domain {domain_id}{' any more' if gone else ''}{hint}"
+    return f"no publisher of {topic} in domain {domain}{' any more' if gone else ''}{hint}"
 
 
 def choose_type(

@@ -224,8 +224,7 @@ class Sender:
             return
         present = {}
         if (histories := self.subscription.histories) is not None:
-            gids = {endpoint.gid for endpoint in self.carried.endpoints}
-            histories.forget_gone(gids)
+            gids = histories.forget_gone({endpoint.gid for endpoint in self.carried.endpoints})
             depths = histories.depths()
             ids = islice(map(publisher_id, gids), MOST_PUBLISHERS)
             present = {each: depths.get(each, 0) for each in ids}

@@ -372,7 +372,7 @@ class ReceiverFacts(TopicFacts):
         if self.flow.audience.count:
             heard = Stage("subscriber seen", True)
         else:
-            why = no_subscriber(self.route.local_topic, self.route.context.domain_id, self.flow.audience.deaf)
+            why = no_subscriber(self.route.local_topic, self.route.context.domain, self.flow.audience.deaf)
             heard = Stage("subscriber seen", None, why)
         before = seen, Stage("type known", known or None, self.carried.type_name or peer.text), matches, subscribed
         return stages_with_link(self, before, (sent, received, published, heard))

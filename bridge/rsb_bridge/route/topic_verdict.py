@@ -210,7 +210,7 @@ def _nobody(half: SenderFacts) -> Cause:
 
 
 def _no_publisher(half: SenderFacts, *, gone: bool = False) -> str:
-    return no_publisher(half.route.local_topic, half.route.context.domain_id, half.resolver.similar, gone=gone)
+    return no_publisher(half.route.local_topic, half.route.context.domain, half.resolver.similar, gone=gone)
 
 
 def _slow(half: SenderFacts, _: Crossing) -> Verdict | None:
@@ -313,7 +313,7 @@ def _subscribers(half: ReceiverFacts, _: Crossing) -> Verdict | None:
         )
     if not half.carried.endpoints and not half.flow.audience.count and half.came:
         return Verdict(
-            State.UNHEARD, Cause.NO_SUBSCRIBER, no_subscriber(half.route.local_topic, half.route.context.domain_id)
+            State.UNHEARD, Cause.NO_SUBSCRIBER, no_subscriber(half.route.local_topic, half.route.context.domain)
         )
     return None
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import select
 import signal
 import sys
@@ -49,6 +50,8 @@ if TYPE_CHECKING:
 
 _ESCAPE = "\x1b"
 _CONTINUES_ESCAPE = "[Obf\x7f"  # begins a sequence, or is a word's key of line editing
+_BEGINS_SEQUENCE = re.compile(r"\x1b(\[[0-9:;<=>?]*|O)")
+_SEQUENCE = re.compile(r"\x1b(\[[0-9:;<=>?]*[A-Za-z~]|O[A-Za-z])")
 _KEEP_TITLE, _GIVE_TITLE_BACK = "\x1b[22;0t", "\x1b[23;0t"
 _OWN_COLOURS = "\x1b[m"
 _ALTERNATE_SCREEN = "\x1b7\x1b[?1047h"
@@ -76,11 +79,23 @@ class KeyParser(XTermParser):
 
     Textual reads the two as Alt with the key, which means nothing to the console; of two Escapes it makes ``^``, and of
     an answer that it does not know keys.
+
+    A line may also tear an arrow key's sequence apart. Its Escape counts as a key after 0.1 s, and its letter would arm
+    or disarm. So the rest of a sequence is no key while it may still be on its way with that Escape.
+
+    Args:
+        pulse: the terminal's, or None if it has none: then the rest is always a key.
     """
 
     _after_escape = False
     _answer = ""  # characters that may become the answer, after its Escape, which waits
     _answer_due = 0.0
+    _sequence = ""  # what has come of a sequence, with its Escape
+    _sequence_at = 0.0
+
+    def __init__(self, pulse: Pulse | None = None, debug: bool = False) -> None:
+        self._pulse = pulse
+        super().__init__(debug)
 
     def feed(self, data: str) -> Iterator[Message]:
         """Read what has come at once: its keys have the same time, however long this takes."""
@@ -94,10 +109,25 @@ class KeyParser(XTermParser):
         if not data:
             yield from super().feed(data)
         for char in data:
+            if self._is_torn(char):
+                continue
             if self._answer or (self._after_escape and self._waits and char in _BEGINS_ANSWER):
                 yield from self._feed_answer(char)
             else:
                 yield from self._feed_key(char)
+
+    def _is_torn(self, char: str) -> bool:
+        """Whether a character is the rest of a sequence whose Escape counts as a key already."""
+        if char == _ESCAPE:
+            self._sequence, self._sequence_at = char, time.monotonic()
+            return False
+        if not self._sequence:
+            return False
+        sequence = self._sequence + char
+        self._sequence = sequence if _BEGINS_SEQUENCE.fullmatch(sequence) else ""
+        if not (self._sequence or _SEQUENCE.fullmatch(sequence)) or self._waits or self._answer:
+            return False
+        return self._pulse is not None and not self._pulse.is_over(self._sequence_at)
 
     def tick(self) -> Iterable[Message]:
         if self._answer and time.monotonic() > self._answer_due:
@@ -533,7 +563,7 @@ class ConsoleDriver(LinuxDriver):
             super().run_input_thread()
 
     def _new_parser(self, debug: bool) -> KeyParser:
-        self._parser = KeyParser(debug)
+        self._parser = KeyParser(self.pulse, debug)
         return self._parser
 
     def _watch_hangup(self, ended: threading.Event) -> None:

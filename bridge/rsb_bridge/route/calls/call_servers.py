@@ -84,7 +84,7 @@ def provision(
                 continue
             found = guard.servers(service, member.name_on(callers_name))
             if not found:
-                raise UnavailableError(Cause.NO_SERVER, f"no server of {service} in domain {context.domain_id}")
+                raise UnavailableError(Cause.NO_SERVER, f"no server of {service} in domain {context.domain}")
             servers += found
             entry = _service_entry(ros, found, service, member.type_in(wanted))
             route_type = route_type or member.route_type(entry.type)
