@@ -220,6 +220,7 @@ def _what(breach: Breach) -> str:
         "disordered": f"{count} {messages} after a later one",
         "latched_old": "the latched message at the end is an old one",
         "latched_absent": "the latched message at the end is not there",
+        "not_judged": "no message is the same on both sides; name the topics that should cross (--topic)",
         "not_crossed": f"none of {count} {messages} has crossed",
         "call": f"{count} {plural(breach.count, 'call')} without an answer",
         "goal": f"{count} {plural(breach.count, 'goal')} ended on one side only",

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
+from rsb_bridge.model.names import OF_EVERY_NODE
 from rsb_extras.audit.audited_topic import IN_FLIGHT, OPENING, Audit, AuditedTopic
 from rsb_extras.audit.directions import SECOND, OffsetBy, directions
 from rsb_extras.audit.recorded import new_database, read_recording
@@ -83,8 +84,9 @@ class Breach(msgspec.Struct, frozen=True):
 
     Attributes:
         kind: ``lost``, ``doubled``, ``disordered``, ``latched_old``, ``latched_absent``, ``not_crossed``, ``call``,
-            ``goal``; ``shorter`` if a side where messages arrive has none for `count` seconds at its begin or end; or
-            ``nothing_compared`` if the recordings have no message or no time in common.
+            ``goal``; ``not_judged`` if both sides have a topic, and no message of it is the same; ``shorter`` if a side
+            where messages arrive has none for `count` seconds at its begin or end; or ``nothing_compared`` if the
+            recordings have no message or no time in common.
         name: of the topic, service, action or side.
     """
 
@@ -226,10 +228,12 @@ def _facts(recording: ReadRecording) -> RecordingFacts:
 def _topic_breaches(topics: Iterable[AuditedTopic], paired: Paired, options: AuditOptions) -> Iterator[Breach]:
     for result in topics:
         yield from (Breach(kind, result.topic, count) for kind, count in result.breaches())
-        if result.nothing_common and (
-            result.paired_by == "option" or is_named(options.topics, result.topic, result.far_topic)
-        ):
-            yield Breach("not_crossed", result.topic, result.near if result.way == "to_far" else result.far)
+        if result.nothing_common:
+            sent = result.near if result.way == "to_far" else result.far
+            if result.paired_by == "option" or is_named(options.topics, result.topic, result.far_topic):
+                yield Breach("not_crossed", result.topic, sent)
+            elif result.topic not in OF_EVERY_NODE:
+                yield Breach("not_judged", result.topic, sent)
     for topic in (*paired.only_near, *paired.only_far):
         if is_named(options.topics, topic.name):
             yield Breach("not_crossed", topic.name, topic.messages)

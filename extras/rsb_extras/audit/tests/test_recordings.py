@@ -82,7 +82,8 @@ def test_named_topics_have_to_cross(sides: Sides, audited: Run) -> None:
             if not number:
                 side.topic("/tf")
             side.add("/tf", 3 + number, number + other)
-    assert audited().code == 0
+    assert audited().breaches == {("not_judged", "/tf", 5)}
+    assert audited("--topic", "/scan", near=sides.near.path, far=sides.far.path).code == 0
     named = ("--topic", "/scan", "--topic", "/odom", "--topic", "/t*")
     found = audited(*named, near=sides.near.path, far=sides.far.path)
     assert (found.code, found.breaches) == (1, {("not_crossed", "/odom", 5), ("not_crossed", "/tf", 5)})
@@ -469,6 +470,21 @@ def test_topic_that_is_not_judged_needs_no_long_recording(sides: Sides, audited:
     sides.far.add(topic, 5.0, 2)
     found = audited("--back", "/cmd_vel")
     assert (found["/rosout"]["nothing_common"], found.code) == (True, 0)
+
+
+def test_lines_say_what_was_not_judged(sides: Sides, ran: Any) -> None:
+    sides.spans(15)
+    sides.stream(sides.topic("/scan"))
+    for name in ("/image", "/rosout"):
+        topic = sides.topic(name)
+        for number, side in enumerate(sides):
+            side.add(topic, 5.0, number)
+    for side in sides:
+        side.done()
+    done = ran("audit", str(sides.near.path), str(sides.far.path))
+    assert (done.code, says(done.out, AuditText.PASSED)) == (1, False)
+    found = [line for line in done.out.splitlines() if says(line, AuditText.FAILED)]
+    assert [says(line, AuditText.FAILED, name="/image") for line in found] == [True]
 
 
 def test_name_with_two_types_is_two_topics(sides: Sides, audited: Run) -> None:
