@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 _AUDIT = """\
 NEAR and FAR are recordings of the same time, one of each ROS domain, of any bridge:
-files *.mcap, or folders of rosbag2. Messages are matched by their content.
+files *.mcap or *.db3, or folders of rosbag2. Messages are matched by their content.
 
 for example:
   rsb-console audit near.mcap far.mcap

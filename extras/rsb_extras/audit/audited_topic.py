@@ -65,6 +65,7 @@ class AuditedTopic(msgspec.Struct):
         latched_value: of a latched topic, or None.
         gaps, more_gaps: by side, `near` and `far`: the first ones, and how many more there are.
         nothing_common: both sides have messages, and none is the same.
+        described: both recordings describe the type, so that padding inside messages does not count.
     """
 
     topic: str
@@ -90,6 +91,7 @@ class AuditedTopic(msgspec.Struct):
     age_p99: float | None = None
     latched_value: LatchedValue | None = None
     nothing_common: bool = False
+    described: bool = True
     gaps: dict[str, list[SilentTime]] = msgspec.field(default_factory=lambda: {"near": [], "far": []})
     more_gaps: dict[str, int] = msgspec.field(default_factory=lambda: {"near": 0, "far": 0})
 
@@ -135,6 +137,7 @@ class Audit:
         result.matched, result.by_order = match_messages(
             self._database, self._tolerance, is_latched=source.offer.latched is True
         )
+        result.described = source.described and sink.described
         result.nothing_common = bool(source.messages and sink.messages and not result.matched)
         self._count(result)
         if result.latched and not result.nothing_common:

@@ -10,7 +10,8 @@ import msgspec
 from rsb_bridge.model.names import OF_EVERY_NODE
 from rsb_extras.audit.audited_topic import IN_FLIGHT, OPENING, Audit, AuditedTopic
 from rsb_extras.audit.directions import SECOND, OffsetBy, directions
-from rsb_extras.audit.recorded import new_database, read_recording
+from rsb_extras.audit.recorded import index_topics, new_database
+from rsb_extras.audit.recording_files import read_recording
 from rsb_extras.audit.topic_pairs import PairError, PairText, is_named, pair_topics
 from rsb_extras.audit.unanswered import CALL_TIME, GOAL_STATUS
 
@@ -49,13 +50,19 @@ class AuditOptions:
 
 
 class RecordingFacts(msgspec.Struct, frozen=True):
-    """One of the two recordings. Times are s since the epoch; `cut` is why the rest was not read, or empty."""
+    """One of the two recordings. Times are s since the epoch.
+
+    Attributes:
+        joined: number of recordings that stand behind another one in the same file.
+        cut: why the rest was not read, or empty.
+    """
 
     path: str
     messages: int
     topics: int
     first: float
     last: float
+    joined: int
     cut: str
 
 
@@ -131,6 +138,7 @@ def compare(near_path: Path, far_path: Path, options: AuditOptions) -> AuditRepo
         near, far = read_recording(near_path, "near", database), read_recording(far_path, "far", database)
         paired = pair_topics(near, far, options.pairs, options.topics)
         _check_named(options, paired, near, far)
+        index_topics(database, ((pair.near, pair.far) for pair in paired.pairs))
         told = None if options.offset is None else round(options.offset * SECOND)
         ways, clocks = directions(
             database, near, far, paired.pairs, back=options.back, forth=options.forth, offset=told
@@ -221,6 +229,7 @@ def _facts(recording: ReadRecording) -> RecordingFacts:
         len(recording.topics),
         recording.first / SECOND,
         recording.last / SECOND,
+        recording.joined,
         recording.cut,
     )
 

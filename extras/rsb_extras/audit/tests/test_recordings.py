@@ -23,7 +23,9 @@ from rosbags.typesys import Stores, get_typestore
 from tests.support.wording import says
 
 from rsb_extras.audit.audit_table import AuditText
-from rsb_extras.audit.recorded import UnreadableRecording, insert, new_database, offers_of, unpacked
+from rsb_extras.audit.mcap_records import unpacked
+from rsb_extras.audit.recorded import DamageError, insert, new_database, offers_of
+from rsb_extras.audit.recording_files import UnreadableRecording
 from rsb_extras.audit.tests.audit_places import CALLS_REMEMBERED, INSERTS, MATCHES_HELD, NEW_DATABASE, PIECE, ROWS_HELD
 from rsb_extras.audit.tests.conftest import Audited, Sides
 from rsb_extras.audit.tests.written import START, Written, text
@@ -190,7 +192,7 @@ def test_chunk_gets_no_more_memory_than_it_says(compression: str) -> None:
     most = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert most < 10_000_000
-    with pytest.raises(OverflowError):
+    with pytest.raises(DamageError):
         unpacked(Chunk(compression, content, 0, 0, 0, 1 << 40))
     with pytest.raises(ValueError):
         unpacked(Chunk(compression, pack(bytes(10)), 0, 0, 0, 1000))
@@ -256,7 +258,9 @@ def test_recording_of_another_writer(sides: Sides, tmp_path: Path, ran: Any) -> 
     ("content", "problem"),
     [
         (b"", UnreadableRecording.EMPTY),
-        (b"SQLite format 3\0" * 8, UnreadableRecording.NO_MCAP),
+        (b"SQLite format 3\0" * 8, UnreadableRecording.EMPTY),
+        (b"text" * 8, UnreadableRecording.NO_RECORDING),
+        (b"\x28\xb5\x2f\xfd" * 8, UnreadableRecording.COMPRESSED),
         (b"\x89MCAP0\r\n", UnreadableRecording.EMPTY),
         (b"\x89MCAP0\r\n\xff" + (1 << 62).to_bytes(8, "little"), UnreadableRecording.EMPTY),
         (None, UnreadableRecording.NOT_THERE),
@@ -274,9 +278,13 @@ def test_what_is_no_recording(content: bytes | None, problem: Any, sides: Sides,
 
 @pytest.mark.parametrize(
     ("name", "problem"),
-    [("bag.db3", UnreadableRecording.NO_MCAP_WITHIN), ("bag.mcap.zstd", UnreadableRecording.COMPRESSED)],
+    [
+        ("bag.txt", UnreadableRecording.NONE_WITHIN),
+        ("bag.mcap.zstd", UnreadableRecording.COMPRESSED),
+        ("bag.db3.zstd", UnreadableRecording.COMPRESSED),
+    ],
 )
-def test_folder_without_mcap(name: str, problem: Any, sides: Sides, tmp_path: Path, ran: Any) -> None:
+def test_folder_without_recording(name: str, problem: Any, sides: Sides, tmp_path: Path, ran: Any) -> None:
     sides.spans(15)
     sides.near.done()
     (tmp_path / "bag").mkdir()
