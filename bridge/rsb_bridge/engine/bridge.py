@@ -80,6 +80,7 @@ _OF_ONE_ROUTE = (
     commands.ArmTopic,
     commands.AskHolder,
     commands.Call,
+    commands.CallWhole,
     commands.DisarmTopic,
     commands.PauseTopics,
     commands.TakeArming,
