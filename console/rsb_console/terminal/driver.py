@@ -316,6 +316,7 @@ class ConsoleDriver(LinuxDriver):
         self._parser: KeyParser | None = None
         self._lacks_modes = False
         """Whether the terminal may be another one, whose modes were not set."""
+        self._kind_told = ""
         self._title = ""
         self.pulse = Pulse(os.environ)
 
@@ -388,6 +389,7 @@ class ConsoleDriver(LinuxDriver):
         self._known.doubt()
         self.losses += 1
         self._lacks_modes = True
+        self._kind_told = ""
         # Until the terminal says that it tells its size among the keys, SIGWINCH tells it.
         self._in_band_window_resize = False
 
@@ -417,9 +419,10 @@ class ConsoleDriver(LinuxDriver):
         self.entitle(title)
         self._suit(before)
 
-    def _meet_without_kind(self) -> None:
-        if self._known.is_in_doubt and not self.pulse.is_doubted:
-            self._meet("")
+    def _meet_told(self) -> None:
+        """Take the kind that was told, unless the terminal before may have told it."""
+        if not self.pulse.is_doubted:
+            self._meet(self._kind_told)
 
     def look_for_answers(self) -> None:
         """Take a terminal that has not answered for long for one that answers nothing."""
@@ -496,7 +499,7 @@ class ConsoleDriver(LinuxDriver):
                 if (asked := self.pulse.answered(message.y + 1, message.x + 1)) is not None:
                     self.line.answered(asked)
                     if self._known.is_in_doubt:
-                        self._app.call_later(self._meet_without_kind)  # behind its kind, if it tells that
+                        self._app.call_later(self._meet_told)
                 return
             case events.Key(key=key, character=answer) if key == _FACT:
                 self._app.call_later(self._take_answer, answer or "")  # on the app's thread, as this one reads the keys
@@ -504,7 +507,8 @@ class ConsoleDriver(LinuxDriver):
             case events.Key(key=key) if key == _KIND:
                 kind = KIND.fullmatch(message.character or "")["kind"]  # type: ignore[index]
                 self.pulse.take_kind(kind)
-                self._app.call_later(self._meet, kind)
+                self._kind_told = kind
+                self._app.call_later(self._meet_told)
                 return
             case events.Key(key=key) if key == _REDRAW:
                 self._doubt()
