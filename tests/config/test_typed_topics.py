@@ -36,6 +36,7 @@ names = st.sampled_from(["/scan", "/a/b", "/camera/**"]) | paths | st.text(max_s
 numbers = st.none() | st.sampled_from([0.0, 1.0, 5.0, -1.0, 1e-9, 1e12, math.inf, math.nan])
 FIELDS: dict[str, st.SearchStrategy[Any]] = {
     **{name: st.booleans() for name, key in TOPIC_KEYS.items() if key.value == "switch"},
+    **{name: st.none() | st.booleans() for name, key in TOPIC_KEYS.items() if key.value == "choice"},
     **{name: numbers for name, key in TOPIC_KEYS.items() if key.value == "number"},
     "topic": names,
     "direction": st.sampled_from(get_args(Direction)),

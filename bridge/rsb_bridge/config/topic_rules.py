@@ -362,7 +362,7 @@ def limits_problems(limits: VelocityLimits | None, kind: Kind | None, type_name:
     if limits is None:
         return
     if kind not in (None, "topic"):
-        yield Problem("limits", ForeignKey.LIMITS_OF_CALLED())
+        yield Problem("limits", ForeignKey.OF_TOPICS_ONLY())
         return
     if limits == VelocityLimits():
         yield Problem("limits", "has no number: give linear (m/s), angular (rad/s) or both")

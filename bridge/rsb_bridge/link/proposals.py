@@ -83,6 +83,8 @@ def proposal_of(
         arm=topic.arm,
         limits=topic.limits,
         keep=topic.kept,
+        lazy=topic.lazy,
+        renew=topic.renew,
         timeout=topic.timeout or 0.0,
     )
 
@@ -113,6 +115,8 @@ def topic_of(proposal: Propose) -> Topic:
         arm=proposal.arm,
         limits=proposal.limits,
         keep=proposal.keep,
+        lazy=proposal.lazy,
+        renew=proposal.renew,
         timeout=proposal.timeout or None,
     )
 

@@ -311,7 +311,11 @@ def limits_changed(old: Propose, new: Propose) -> str:
     return ", ".join(changed + ([f"priority {before} → {after}"] if before != after else []))
 
 
-def _limit_text(value: float | Keep | None, key: TopicKey) -> str:
+def _limit_text(value: float | Keep | bool | None, key: TopicKey) -> str:
+    if key.value == "choice":
+        return "as the profile says" if value is None else "yes" if value else "no"
+    if key.value == "switch":
+        return "yes" if value else "no"
     if value is None or not (value or key.zero):
         return "none"
     return str(value) if isinstance(value, Keep) else f"{value:g} {key.unit}"

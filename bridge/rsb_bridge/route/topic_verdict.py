@@ -13,6 +13,7 @@ from rsb_bridge.model.wording import Wording
 from rsb_bridge.route.age import expired_verdict
 from rsb_bridge.route.blocking_rules import ACCEPTED, JudgedHalf, first_missing
 from rsb_bridge.route.combined_verdict import NODE_LENGTH, NODES, node_names
+from rsb_bridge.route.crossing import Crossing
 from rsb_bridge.route.lateness import late_verdict
 from rsb_bridge.route.ledger import REPLACED
 from rsb_bridge.telemetry.watches import FAST_ABOVE, LATELY
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.ros_interface import Endpoint
     from rsb_bridge.route.blocking_rules import Rules
     from rsb_bridge.route.catching_up import Backlog
-    from rsb_bridge.route.crossing import Crossing
     from rsb_bridge.route.health import Health
     from rsb_bridge.route.lateness import Late
 
@@ -418,6 +418,9 @@ def _catching_up(half: SendingTopic, _: Crossing) -> Verdict | None:
 
 def _unsent(half: SendingTopic, crossing: Crossing) -> Verdict | None:
     """Judge a topic that no message has come of, or whose publisher has left while no message was due."""
+    if crossing is Crossing.RESTING:
+        text = no_subscriber(half.route.far_topic, None, half.flow.audience.deaf)
+        return Verdict(State.RESTING, Cause.RESTING, text)
     if not crossing.flows:
         return _no_message(first_missing(half.stages()))
     if half.came:
@@ -447,6 +450,9 @@ def _nothing_comes(half: ReceivingTopic, crossing: Crossing) -> Verdict | None:
 
 
 def _unreceived(half: ReceivingTopic, crossing: Crossing) -> Verdict | None:
+    if crossing is Crossing.RESTING:
+        text = no_subscriber(half.route.local_topic, half.route.context.domain_id, half.flow.audience.deaf)
+        return Verdict(State.RESTING, Cause.RESTING, text)
     if not crossing.flows:
         return _no_message(waits_for(half))
     return None if half.came else _no_message()
@@ -461,7 +467,7 @@ def waits_for(half: ReceivingTopic) -> str:
     return first_missing(stages)
 
 
-def _subscribers(half: ReceivingTopic, _: Crossing) -> Verdict | None:
+def _subscribers(half: ReceivingTopic, crossing: Crossing) -> Verdict | None:
     qos = half.listeners.offered
     if qos is None or not (half.route.life.described and half.carried.type_name):
         return None
@@ -486,7 +492,7 @@ def _subscribers(half: ReceivingTopic, _: Crossing) -> Verdict | None:
         return Verdict(
             State.UNHEARD, Cause.NO_SUBSCRIBER, _plural(half.carried.endpoints, *NOT_MATCHED, "subscriptions")
         )
-    if not half.carried.endpoints and not half.flow.audience.count and half.came:
+    if not half.carried.endpoints and not half.flow.audience.count and half.came and crossing is not Crossing.RESTING:
         return Verdict(
             State.UNHEARD, Cause.NO_SUBSCRIBER, no_subscriber(half.route.local_topic, half.route.context.domain_id)
         )
