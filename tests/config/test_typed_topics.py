@@ -48,6 +48,7 @@ FIELDS: dict[str, st.SearchStrategy[Any]] = {
     "compression": st.none() | st.sampled_from(["none", "zstd"]),
     "on_end": st.none() | st.sampled_from(ENDS) | st.text(max_size=8),
     "limits": st.none() | st.builds(VelocityLimits, numbers, numbers),
+    "beat": st.none() | st.sampled_from(["front", "", KEY, "a\nb", "a" * 300]),
     "keep": numbers | st.builds(Keep, numbers.filter(lambda number: number is not None), numbers),
     "kind": st.sampled_from(list(LISTS)),
     "priority": st.sampled_from(list(RANKS)),

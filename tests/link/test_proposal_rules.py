@@ -103,7 +103,7 @@ changes: st.SearchStrategy[dict[str, Any]] = st.lists(
             *((name, FIELDS[name]) for name in ("max_rate", "expected_rate", "stale_after", "late_after", "max_age")),
             *(
                 (name, FIELDS[name])
-                for name in ("arm", "deadman", "on_end", "limits", "keep", "lazy", "renew", "timeout", "kind")
+                for name in ("arm", "deadman", "on_end", "limits", "keep", "lazy", "renew", "beat", "timeout", "kind")
             ),
             ("priority", st.sampled_from([-1, 0, 1, 2])),
         ]
@@ -143,6 +143,7 @@ VALUES: dict[str, Any] = {
     "on_end": "none",
     "limits": VelocityLimits(0.5),
     "lazy": False,
+    "beat": "front",
 }
 """What is neither a number nor a switch."""
 

@@ -40,6 +40,7 @@ KEYS: Final[dict[Kind, dict[str, str]]] = {
         "expected_rate": "expected_rate", "stale_after": "stale_after", "late_after": "late_after",
         "max_age": "max_age", "paused": "paused", "arm": "arm", "deadman": "deadman", "on_end": "on_end",
         "limits": "limits", "priority": "priority", "keep": "keep", "lazy": "lazy", "renew": "renew",
+        "beat": "beat",
         "except": "excepts",
     },
     "service": {
@@ -80,6 +81,7 @@ _NOT_OF_CALLS = {
     "late_after": ForeignKey.LATE_AFTER_OF_CALLED(),
     "limits": ForeignKey.OF_TOPICS_ONLY(),
     "keep": ForeignKey.KEEP_OF_CALLED(),
+    "beat": ForeignKey.OF_TOPICS_ONLY(),
     "lazy": ForeignKey.OF_TOPICS_ONLY(),
     "renew": ForeignKey.OF_TOPICS_ONLY(),
     "priority": ForeignKey.PRIORITY_OF_CALLED(),

@@ -123,6 +123,7 @@ class Propose(ControlMessageBase, frozen=True, kw_only=True):
     the JSON of its fields, or empty if the session says nothing."""
     limits: VelocityLimits | None = None  # what a hand may ask, by the proposer's session, or None for any velocity
     keep: Keep | None = None  # all messages of some time wait for the link, or None for what the QoS keeps
+    beat: Name = ""  # what topics share of which the sending side lets messages of one stamp pass together, or empty
     lazy: bool | None = None
     """Whether the sending side subscribes only while somebody on the other side does, or None by its own profile."""
     renew: bool = False  # whether the sending side subscribes anew when more subscribe on the other one
@@ -315,6 +316,7 @@ class Amend(ControlMessageBase, frozen=True):
     late_after: Seconds | None = None
     max_age: Seconds | None = None
     keep: Keep | None = None
+    beat: Name = ""
     lazy: bool | None = None
     renew: bool = False
 
