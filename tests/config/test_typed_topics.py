@@ -100,6 +100,7 @@ def said(problems: list[Problem], where: str) -> list[tuple[str, str]]:
         ({"type": KEY}, "type"),
         ({"qos": KEY}, "qos"),
         ({"on_end": KEY, "arm": True}, "on_end"),
+        ({"beat": KEY}, "beat"),
         ({"topic": "/**", "excepts": ("/a", f"/{KEY}")}, "except[1]"),
     ],
 )
