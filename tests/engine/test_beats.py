@@ -73,11 +73,11 @@ def test_pairs_cross_whole_though_one_begins_later(
 
 
 def test_type_without_stamp_goes_by_its_own_limit(bridge: Bridge, robot: Domain, pc: Domain) -> None:
-    topics = [Topic(each, "transmit", max_rate=RATE, beat="words") for each in ("/one", "/two")]
+    topics = [Topic(each, "transmit", max_rate=RATE, beat="words") for each in ("/one", "/two", "/three")]
     listeners = [pc.listener(each.topic) for each in topics]
     publishers = [robot.publisher(each.topic) for each in topics]
     server, _ = bridge.both(*topics)
-    carries(publishers, server, ["/one", "/two"])
+    carries(publishers, server, ["/one", "/two", "/three"])
     deadline = time.monotonic() + 60
     while not all(len(each.payloads) > 3 for each in listeners):  # the same words: neither follows the other
         assert time.monotonic() < deadline

@@ -157,8 +157,8 @@ TOPIC_KEYS: Final = {key.name: key for key in (
     TopicKey("lazy", "choice", kinds="topics", live=True, sentence="lazy", zero=True, zero_sentence="never rests",
              label="Lazy", help="Subscribed to only while somebody on the other side subscribes.", options=_OPEN),
     TopicKey("renew", "switch", kinds="topics", live=True, sentence="renewed for each subscriber",
-             label="Renew", help="Subscribed to anew when more subscribe on the other side, for publishers that send "
-                                 "all to a new subscriber.", options=_SWITCH),
+             label="Renew", help="Subscribes once more for each subscriber on the other side, for publishers that "
+                                 "send all to a new subscriber.", options=_SWITCH),
     TopicKey("compression"),
     TopicKey("arm", "switch",
              label="Must be armed", help="Carries nothing until an operator arms it (key A).", options=_SWITCH),

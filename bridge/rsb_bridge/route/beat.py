@@ -28,13 +28,13 @@ _STAMP = slice(4, 12)
 _NO_STAMP = bytes(8)
 _BEGIN_WITH_STAMP = frozenset({"std_msgs/msg/Header", "builtin_interfaces/msg/Time"})
 _REMEMBERED = 2048
-"""Stamps that a beat remembers at the least: those of 70 topics at 30 Hz for a second. A round figure."""
+"""Stamps that a beat remembers at the least, as many as 70 topics at 30 Hz have in a second. A round figure."""
 _TOGETHER = int(5e9)
 """ns within which messages of one stamp follow each other. Later, it is a recording that is played again."""
 
 
 class _Decision(NamedTuple):
-    """What has become of a stamp.
+    """The decision on a stamp.
 
     Attributes:
         topic: the number of the one whose limit has judged it.
@@ -82,7 +82,7 @@ class TopicInBeat:
         if stamp == _NO_STAMP:
             return self._throttle.passes(at)
         decision = self._beat.decision(stamp)
-        # Its own is no reason: a publisher may never set its stamp anew.
+        # Its own decision is no reason: a publisher may never change its stamp.
         if decision is not None and decision.topic != self._number and abs(at - decision.at) < _TOGETHER:
             if decision.due:
                 self._throttle.follow(decision.due)
@@ -99,7 +99,8 @@ class Beats:
         self._context = context
         self._beats: WeakValueDictionary[tuple[str, str, float], Beat] = WeakValueDictionary()
         self._stamped: dict[str, bool] = {}  # by the type's hash
-        self._finding: dict[str, asyncio.Task[None]] = {}
+        self._awaiting: dict[str, set[Callable[[], None]]] = {}  # a type's description, by its hash
+        self._tasks: set[asyncio.Task[None]] = set()
 
     def join(
         self, route: Route, flow: TopicFlow, throttle: Throttle, compose: Callable[[], None]
@@ -107,27 +108,30 @@ class Beats:
         """Have a topic follow its beat, or return None if it has none, no limit or no stamps.
 
         Args:
-            compose: called once it is known that it has none. Until then, it is taken to have some.
+            compose: called if its type turns out to have no stamp. Until then, its messages count as stamped.
         """
         name, type_hash = route.proposal.beat, flow.type_hash
         if not (name and throttle.is_on and type_hash) or self._stamped.get(type_hash) is False:
             return None
-        if type_hash not in self._stamped and type_hash not in self._finding:
-            task = self._context.loop.create_task(self._find(flow.type_name, type_hash, route.topic, compose))
-            self._finding[type_hash] = task
+        if (awaiting := self._awaiting.get(type_hash)) is not None:
+            awaiting.add(compose)
+        elif type_hash not in self._stamped:
+            self._awaiting[type_hash] = {compose}
+            task = self._context.loop.create_task(self._find(flow.type_name, type_hash, route.topic))
+            self._tasks.add(task)
+            task.add_done_callback(self._tasks.discard)
         key = route.peer.name, name, throttle.rate
         beat = self._beats.get(key) or Beat()
         self._beats[key] = beat
         return TopicInBeat(beat, throttle)
 
-    async def _find(self, type_name: str, type_hash: str, topic: str, compose: Callable[[], None]) -> None:
-        try:
-            text = await self._context.descriptions.find(type_name, type_hash, topic)
-        finally:
-            del self._finding[type_hash]
+    async def _find(self, type_name: str, type_hash: str, topic: str) -> None:
+        text = await self._context.descriptions.find(type_name, type_hash, topic)
         # What nobody describes is judged by its own limit.
-        self._stamped[type_hash] = text is not None and _begins_with_stamp(text, type_hash)
-        compose()
+        self._stamped[type_hash] = stamped = text is not None and _begins_with_stamp(text, type_hash)
+        for compose in self._awaiting.pop(type_hash):
+            if not stamped:
+                compose()
 
 
 def _begins_with_stamp(text: str, type_hash: str) -> bool:

@@ -102,7 +102,7 @@ class Looker(Protocol):
 
 
 class AwaitedListeners:
-    """Looks for those that want what rests, as soon as the graph changes, and more often than all routes look at it."""
+    """Looks for listeners of topics that rest as soon as the graph changes, and more often than routes look at it."""
 
     def __init__(self, context: Context) -> None:
         self._context = context

@@ -1,7 +1,7 @@
-"""Renewed topics: the sending side subscribes anew when more subscribe on the receiving side (``renew``).
+"""Renewed topics: the sending side subscribes again when more subscribe on the receiving side (``renew``).
 
-Some publishers send all that they have to a new subscriber: a costmap as a whole, an encoder its next key frame. They
-see the bridge's subscription alone. So it goes and comes back for each subscriber on the far side that they cannot see.
+Some publishers send everything to a new subscriber: a costmap, or an encoder its next key frame. They see only the
+bridge's subscription. So it goes and comes back for subscribers on the far side, which they cannot see.
 """
 
 from __future__ import annotations
