@@ -148,6 +148,10 @@ class Node:
             self.on_writer(writer, origin)
         return writer
 
+    def takes(self, topic: str, besides: Hashable) -> bool:
+        own = (self._name, besides)
+        return any(each.node == self._name and each.origin != own for each in self._domain.readers(topic))
+
     def services(self) -> dict[str, list[str]]:
         found = self._domain.services.names()
         return {name: sorted(types) for name, types in found.items() if self.servers(name) or self.callers(name)}

@@ -82,6 +82,9 @@ def proposal_of(
         arm=topic.arm,
         limits=topic.limits,
         keep=topic.kept,
+        beat=topic.beat or "",
+        lazy=topic.lazy,
+        renew=topic.renew,
         timeout=topic.timeout or 0.0,
     )
 
@@ -112,6 +115,9 @@ def topic_of(proposal: Propose) -> Topic:
         arm=proposal.arm,
         limits=proposal.limits,
         keep=proposal.keep,
+        beat=proposal.beat or None,
+        lazy=proposal.lazy,
+        renew=proposal.renew,
         timeout=proposal.timeout or None,
     )
 

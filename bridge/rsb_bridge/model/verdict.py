@@ -26,6 +26,8 @@ class Cause(StrEnum):
     """It requires arming by an operator before anything crosses."""
     DISARMING = "disarming"
     """The topic was disarmed, and the other side may act on earlier messages for up to 1 s."""
+    RESTING = "resting"
+    """Nobody on the receiving side wants the messages of a lazy topic, so that the sending side does not subscribe."""
     NO_PATH = "no_path"
     """Its transport does not get through, though the link is up."""
     AWAITS_LINK = "awaits_link"

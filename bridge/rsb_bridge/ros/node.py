@@ -269,16 +269,22 @@ class RosNode:
             self._drain(client, participant)
         return client
 
-    def own_subscriptions(self, topic: str, offered: Qos) -> int:
-        """How many of our own subscriptions match a publisher of that QoS on a topic."""
+    def _own_readers(self, topic: str) -> Sequence[_Subscription]:
         # Each publisher asks at each look at the graph, and there may be hundreds of both.
         if (drains := self._drains) is not self._indexed[0]:
             by_topic: dict[str, list[_Subscription]] = {}
             for each in self._subscriptions():
                 by_topic.setdefault(each.topic, []).append(each)
             self._indexed = drains, by_topic
+        return self._indexed[1].get(topic, ())
+
+    def own_subscriptions(self, topic: str, offered: Qos) -> int:
+        """How many of our own subscriptions match a publisher of that QoS on a topic."""
         # DDS counts a subscription whose QoS does not fit as not matched, so it is not subtracted either.
-        return sum(not incompatible(offered, each.qos) for each in self._indexed[1].get(topic, ()))
+        return sum(not incompatible(offered, each.qos) for each in self._own_readers(topic))
+
+    def takes(self, topic: str, besides: Hashable) -> bool:
+        return any(each.key[1] != besides for each in self._own_readers(topic))
 
     def own_asserted(self, key: _Key, requested: Qos) -> int:
         """How many of our own publishers of a key are alive for a subscription of that QoS."""

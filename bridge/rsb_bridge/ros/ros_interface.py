@@ -374,6 +374,9 @@ class RosInterface(RouteEnds, Protocol):
             RosError: the node could not be asked.
         """
 
+    def takes(self, topic: str, besides: Hashable) -> bool:
+        """Whether our own node subscribes to a topic for another origin, such as another link or an operator's view."""
+
     def services(self) -> dict[str, list[str]]:
         """Return every service of the graph with its type names (``pkg/srv/Name``, ``pkg/action/Name_SendGoal``).
 

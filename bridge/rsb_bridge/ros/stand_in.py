@@ -85,6 +85,9 @@ class NoRos:
     def subscriptions(self, topic: str) -> list[Endpoint]:
         return []
 
+    def takes(self, topic: str, besides: Hashable) -> bool:
+        return False
+
     def services(self) -> dict[str, list[str]]:
         return {}
 

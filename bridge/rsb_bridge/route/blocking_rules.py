@@ -179,5 +179,5 @@ def _held_back(half: Facts, crossing: Crossing) -> Verdict | None:
             # That reason names the step that has to come first.
             remedy = "" if why is Disarmed.LINK_SLOW else f": arm it (key A, rsb-console arm {half.route.local_topic})"
             return Verdict(State.DISARMED, Cause.DISARMED, disarmed + remedy)
-        case Crossing.NOT_OPEN | Crossing.UNHEARD | Crossing.YES:
+        case Crossing.NOT_OPEN | Crossing.RESTING | Crossing.UNHEARD | Crossing.YES:
             return None

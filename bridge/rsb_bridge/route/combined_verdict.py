@@ -29,7 +29,7 @@ _SAME_ON_BOTH = frozenset(
 _ENOUGH_SAID_HERE = frozenset(
     {
         Cause.NONE, Cause.NO_MESSAGE, Cause.SILENT, Cause.THROTTLED, Cause.NO_CALL, Cause.UNANSWERED, Cause.CALLS_WAIT,
-        Cause.CALLS_REFUSED, Cause.SEVERAL_PUBLISHERS,
+        Cause.CALLS_REFUSED, Cause.SEVERAL_PUBLISHERS, Cause.RESTING,
     }
 )  # fmt: skip
 """Causes of which the other side knows no more, if it has the same."""

@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.ros_interface import RawMessage, Request
     from rsb_bridge.route.age import MessageAge
     from rsb_bridge.route.arming import Arming
+    from rsb_bridge.route.beat import TopicInBeat
     from rsb_bridge.route.drivers import Drivers
     from rsb_bridge.route.history_depth import Sample
     from rsb_bridge.route.ledger import RouteLedger
@@ -243,11 +244,16 @@ def driver_sieve(drivers: Drivers) -> Sieve[RawMessage]:
     return sieve
 
 
-def throttle_sieve(throttle: Throttle, ledger: RouteLedger, flow: TopicFlow, later: LastLater) -> Sieve[RawMessage]:
-    """Pass as many of a volatile topic's messages a second as both sides want."""
+def throttle_sieve(
+    throttle: Throttle, ledger: RouteLedger, flow: TopicFlow, later: LastLater, beat: TopicInBeat | None
+) -> Sieve[RawMessage]:
+    """Pass as many of a volatile topic's messages a second as both sides want, those that its beat chooses."""
 
     def sieve(batch: Sequence[RawMessage]) -> Sequence[RawMessage]:
-        passed = [message for message in batch if throttle.passes(message.stamp)]
+        if beat is None:
+            passed = [message for message in batch if throttle.passes(message.stamp)]
+        else:
+            passed = [message for message in batch if beat.passes(message)]
         left_out = len(batch) - len(passed)
         if flow.carried.may_move or flow.route.arming.required:
             last = None if passed and passed[-1] is batch[-1] else batch[-1]
@@ -318,10 +324,12 @@ def sending_gates(
     later: LastLater,
     loops: LoopFilter,
     fitting: Sieve[Message],
+    beat: TopicInBeat | None = None,
 ) -> SendingGates:
     """Return the gates of messages from ROS to the channel.
 
     Args:
+        beat: chooses for the throttle, or None if that goes by itself.
         later: has the last of what may move a robot pass after all.
         fitting: passes what the transport carries.
     """
@@ -333,7 +341,7 @@ def sending_gates(
     return SendingGates(
         batch=armed_gates(route),
         arriving=(*fresh, loop_sieve(loops, route, ledger), *driven),
-        sourced=(throttle_sieve(throttle, ledger, flow, later),) if throttle.is_on else (),
+        sourced=(throttle_sieve(throttle, ledger, flow, later, beat),) if throttle.is_on else (),
         kept=(*((kept_age_sieve(age, ledger),) if ages else ()), kept_loop_sieve(loops, ledger)),
         packed=(fitting,),
         leaving=(young_sieve(age, ledger),) if ages else (),

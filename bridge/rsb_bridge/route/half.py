@@ -152,6 +152,10 @@ class Half(Protocol):
     def carried(self) -> Carried[Any]: ...
 
     @property
+    def rests(self) -> bool:
+        """Whether nobody wants the messages of a lazy topic."""
+
+    @property
     def facts(self) -> Facts: ...
 
     # --- events of its route

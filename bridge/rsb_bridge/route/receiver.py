@@ -21,6 +21,7 @@ from rsb_bridge.route.combined_verdict import lasting, record_of
 from rsb_bridge.route.half import Carried
 from rsb_bridge.route.incoming_path import REPORTS_AFTER, IncomingPath
 from rsb_bridge.route.latched import LatchedFullError
+from rsb_bridge.route.lazy import LazyReceiver
 from rsb_bridge.route.ledger import reported_ledger
 from rsb_bridge.route.lifecycle import RouteEvent, RoutePhase
 from rsb_bridge.route.listeners import Listeners
@@ -82,6 +83,7 @@ class Receiver:
         self.deliver, self.restart_measuring = self.path.deliver, self.flow.restart_measuring
         self._before: tuple[str, ReceivedReport] | None = None
         self.listeners = Listeners(self.flow, self.outputs)
+        self.lazy = LazyReceiver(route, self.flow, self.outputs)
         self._received_before = 0
         self._expired_before = 0
         self._alive = False  # a publisher on the sending side, by its liveliness lease
@@ -111,6 +113,7 @@ class Receiver:
             self.path.dropped.clear()
         self.path.unpacker.clear()
         self._alive = False
+        self.lazy.end()
         self.outputs.set_alive(False)
         self.flow.drivers.there = ()
 
@@ -236,6 +239,11 @@ class Receiver:
             # While it is paused, too: the other side may not know yet, and frames without a channel hold up all others.
             self.route.peer.open_channel(self.route)
         self.listeners.look()
+        self.lazy.tell()
+
+    @property
+    def rests(self) -> bool:
+        return self.lazy.rests
 
     def destroy(self) -> None:
         """Close its publishers. The end of the opening has begun the rest; `rest.close` lets that go on to its end."""
@@ -327,6 +335,7 @@ class Receiver:
         self.flow.drivers.told(report.drivers)
         self.route.wake()
         self.route.judged.receive(report.verdict, self.route.context.now())
+        self.lazy.told()
         peer = self.route.judged.peer
         self.route.notices.set_loop(peer.text if peer.cause == Cause.LOOP else "")
         left_out = peer.cause == Cause.TYPE_CONFLICT and peer.state is not State.DOWN
@@ -362,6 +371,7 @@ class Receiver:
             newest=self.path.received + counts.lost if counts.newest is None else counts.newest,
             dropped=dict(self.path.dropped),
             subscribers=self.flow.audience.count,
+            wanted=self.lazy.wanted,
             subscriber_qos=self.listeners.subscriber_qos,
             type=self.listeners.hint[0],
             type_hash=self.listeners.hint[1],

@@ -46,7 +46,11 @@ if TYPE_CHECKING:
     from rsb_bridge.telemetry.event_log import About
 
 
-_LASTS = frozenset({State.OK, State.WAITING, State.UNHEARD, State.PAUSED, State.STALE, State.STOPPED, State.DOWN})
+_LASTS = frozenset(
+    {
+        State.OK, State.WAITING, State.UNHEARD, State.PAUSED, State.RESTING, State.STALE, State.STOPPED, State.DOWN,
+    }
+)  # fmt: skip
 """States that last until something happens, or until silence has lasted too long."""
 
 
@@ -500,7 +504,9 @@ class Route:
                 return Crossing.DISARMING
         if self.pausing.paused:
             return Crossing.PAUSED
-        return armed if self.connected or armed.is_unarmed else Crossing.NOT_OPEN
+        if not (self.connected or armed.is_unarmed):
+            return Crossing.NOT_OPEN
+        return Crossing.RESTING if self.half.rests else armed
 
     # --- verdict
 

@@ -23,9 +23,11 @@ from rsb_bridge.route.combined_verdict import lasting, node_names, record_of
 from rsb_bridge.route.half import Carried
 from rsb_bridge.route.health import Health
 from rsb_bridge.route.lateness import SendersDelay, delay_of_sender
+from rsb_bridge.route.lazy import LazySender
 from rsb_bridge.route.ledger import OUTAGE, RouteLedger
 from rsb_bridge.route.lifecycle import RouteEvent, RoutePhase
 from rsb_bridge.route.loop_filter import LoopFilter
+from rsb_bridge.route.renewal import Renewal
 from rsb_bridge.route.resolving import Resolver
 from rsb_bridge.route.sending import OutgoingPath
 from rsb_bridge.route.topic_facts import SenderFacts
@@ -78,6 +80,8 @@ class Sender:
         route.rested.append(self.path.traffic.rested)
         self.subscription = TopicSubscription(route, self.path, self.loop_filter, self._look_who_is_present)
         self._unwanted = True  # since the last subscription, messages were not to cross for a while
+        self.lazy = LazySender(route, self.flow)
+        self._renewal = Renewal(route, self.subscription)
         self.resolver = Resolver(route.context, route.proposal, route.judge_again)
         self.health = Health()
         self.delays = SendersDelay()
@@ -103,6 +107,7 @@ class Sender:
             spec = TopicSpec(self.route.topic, described.type, described.type_hash, described.qos)
             self.subscription.begin(spec, known=ready.newest)
             self.path.histories = self.subscription.histories
+        self.lazy.look()
         self.route.advance()
 
     def proceed(self) -> None:
@@ -262,6 +267,12 @@ class Sender:
         self.facts.forget()
         self.flow.drivers.there = ()
         self.flow.audience = NOBODY
+        self.lazy.end()
+        self._renewal.end()
+
+    @property
+    def rests(self) -> bool:
+        return self.lazy.rests
 
     # --- messages
 
@@ -320,6 +331,7 @@ class Sender:
         self.route.limit.set_profile_rate((self.route.peer.profile.max_rate or 0.0) if self._profile_limits else 0.0)
         self.flow.act(now, awaited=crossing.flows or self.facts.lacks_publisher(crossing))
         self.subscription.tick()
+        self.lazy.look()
         if self.route.age.publishers.since is None and crossing.flows and not self.flow.is_latched:
             self._tick_clocks()
 
@@ -371,6 +383,7 @@ class Sender:
     def configure(self) -> None:
         self.flow.set_stale_after()
         self.path.compose()
+        self.lazy.look()
 
     # --- the ledger
 
@@ -397,6 +410,8 @@ class Sender:
         if report.latency is not None:
             self.delays.receive(report.latency, self.route.context.now())
         self.flow.latency.take_reported(report.latency_p50, report.latency_p99, report.jitter)
+        self._renewal.told(self.flow.audience.count, rests=self.rests)
+        self.lazy.told(wanted=report.wanted)
 
     def receiver_left(self) -> None:
         """Take the peer's last report for final, as it leaves with a goodbye."""

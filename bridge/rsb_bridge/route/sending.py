@@ -14,6 +14,7 @@ from rsb_bridge.model.by_hand import END_NONE
 from rsb_bridge.model.clock import shifted
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import AUTO_DEPTH, AUTO_SECONDS, QUEUE_BYTES
+from rsb_bridge.route.beat import Beats
 from rsb_bridge.route.gates import NO_SAMPLE, chained, compose_when_switched, sending_gates, sifting
 from rsb_bridge.route.ledger import CAUSES, KEEP_FULL, OUTAGE, REPLACED
 from rsb_bridge.route.peeking import peeked
@@ -486,8 +487,9 @@ class OutgoingPath:
             self._last_later.flush()
             self._throttle.limit(rate)
         self._route.weight = route_weight(self._route.proposal, armed=self._route.arming.required)
+        beat = self._context.shared(Beats).join(self._route, self._flow, self._throttle, self.compose)
         self.gates = gates = sending_gates(
-            self._flow, self.ledger, self._throttle, self._last_later, self.loop_filter, self._outbox.fitting
+            self._flow, self.ledger, self._throttle, self._last_later, self.loop_filter, self._outbox.fitting, beat
         )
         self._batch = chained(gates.batch)
         self._arriving = sifting(*gates.arriving)

@@ -208,7 +208,8 @@ class SenderFacts(TopicFacts):
         clash = self._qos_clash()
         matches = Stage("QoS compatible", not clash if described else None, clash)
         failure = self.route.notices.loop or self.subscription.failure
-        subscribed = Stage("subscribed", False if failure else self.subscription.receives or None, failure)
+        why = failure or ("it rests" if self.route.half.rests else "")
+        subscribed = Stage("subscribed", False if failure else self.subscription.receives or None, why)
         undelivered = self.route.notices.undelivered
         sent = Stage("sent", True) if counts.sent_now or kept else Stage("sent", None, undelivered)
         received = Stage("received", counts.received_now > 0 or kept or None, undelivered)

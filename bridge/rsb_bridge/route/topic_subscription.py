@@ -133,6 +133,12 @@ class TopicSubscription:
             self._subscription = None
         self._type.end()
 
+    def renew(self) -> None:
+        """Subscribe anew, if it is subscribed; what is published meanwhile is left out on purpose."""
+        if self.receives and self._subscription is not None:
+            self.numbers.gap = Untaken.UNSUBSCRIBED
+            self._subscription.renew()
+
     def close(self) -> int:
         """End the opening, drop the messages that the histories hold, and return their number."""
         self.unsubscribe()

@@ -11,6 +11,7 @@ from rsb_bridge.model.verdict import LASTING, Cause, Verdict
 from rsb_bridge.route.age import expired_verdict
 from rsb_bridge.route.blocking_rules import ACCEPTED, first_missing
 from rsb_bridge.route.combined_verdict import NAMED, named
+from rsb_bridge.route.crossing import Crossing
 from rsb_bridge.route.lateness import late_verdict
 from rsb_bridge.route.ledger import LOSS_CAUSES, LOSSES
 from rsb_bridge.route.listeners import mismatch, no_subscriber
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.snapshot import Driver
     from rsb_bridge.ros.ros_interface import Endpoint
-    from rsb_bridge.route.crossing import Crossing
     from rsb_bridge.route.half import Rules
     from rsb_bridge.route.topic_facts import ReceiverFacts, SenderFacts, TopicFacts
 
@@ -243,6 +243,9 @@ def _catching_up(half: SenderFacts, _: Crossing) -> Verdict | None:
 
 def _unsent(half: SenderFacts, crossing: Crossing) -> Verdict | None:
     """Judge a topic that no message has come of, or whose publisher has left while no message was due."""
+    if crossing is Crossing.RESTING:
+        text = no_subscriber(half.route.far_topic, None, half.flow.audience.deaf)
+        return Verdict(State.RESTING, Cause.RESTING, text)
     if not crossing.flows:
         return _no_message(first_missing(half.stages()))
     if half.came:
@@ -272,6 +275,9 @@ def _nothing_comes(half: ReceiverFacts, crossing: Crossing) -> Verdict | None:
 
 
 def _unreceived(half: ReceiverFacts, crossing: Crossing) -> Verdict | None:
+    if crossing is Crossing.RESTING:
+        text = no_subscriber(half.route.local_topic, half.route.context.domain, half.flow.audience.deaf)
+        return Verdict(State.RESTING, Cause.RESTING, text)
     if not crossing.flows:
         return _no_message(waits_for(half))
     return None if half.came else _no_message()
@@ -286,7 +292,7 @@ def waits_for(half: ReceiverFacts) -> str:
     return first_missing(stages)
 
 
-def _subscribers(half: ReceiverFacts, _: Crossing) -> Verdict | None:
+def _subscribers(half: ReceiverFacts, crossing: Crossing) -> Verdict | None:
     qos = half.listeners.offered
     if qos is None or not (half.route.life.described and half.carried.type_name):
         return None
@@ -311,7 +317,7 @@ def _subscribers(half: ReceiverFacts, _: Crossing) -> Verdict | None:
         return Verdict(
             State.UNHEARD, Cause.NO_SUBSCRIBER, _plural(half.carried.endpoints, *NOT_MATCHED, "subscriptions")
         )
-    if not half.carried.endpoints and not half.flow.audience.count and half.came:
+    if not half.carried.endpoints and not half.flow.audience.count and half.came and crossing is not Crossing.RESTING:
         return Verdict(
             State.UNHEARD, Cause.NO_SUBSCRIBER, no_subscriber(half.route.local_topic, half.route.context.domain)
         )

@@ -33,8 +33,8 @@ UP = (State.OK, State.UNHEARD)
 """Messages cross as they should; that nobody hears them is no outage."""
 CROSSES = (*UP, State.LATE)
 """States in which messages cross. The times in which a topic is late are listed, but count as up."""
-FINE = (*UP, State.PAUSED, State.DISARMED, State.DISARMING)
-"""A pause is wanted, and so is what nobody has armed; it counts neither as up nor as out."""
+FINE = (*UP, *(state for state in State if state.is_wanted))
+"""A pause is wanted, and so is what nobody has armed or hears; it counts neither as up nor as out."""
 OUTAGES_OF_ONE = 100
 """Outages kept of each, so that one that flaps displaces nobody else's: 100 that flap fill
 `timeline.OUTAGES`."""
@@ -346,7 +346,7 @@ class TrackRecord:
             self._up += passed
         elif self._state is State.WAITING and self._open is None:
             self._waiting += passed
-        elif self._state not in (State.PAUSED, State.DISARMED, State.DISARMING) and not self._opening:
+        elif not self._state.is_wanted and not self._opening:
             self._out += passed
         if int(now // MINUTE) != self._minute:
             self._close_minute()

@@ -43,6 +43,7 @@ class CallsHalf:
     peer_report: ClassVar[Any] = CallsReport
     rules: ClassVar[Rules[Any]] = OF_CALLS
     duplex: ClassVar[bool] = True
+    rests: ClassVar[bool] = False
 
     under_way: AskedCalls | ProvidedCalls
     kind: CallerKind | ProviderKind

@@ -146,6 +146,14 @@ def test_off_no_route_has_a_tap(bridge: Bridge, robot: Domain, pc: Domain) -> No
             keep(engine)
 
 
+@pytest.mark.parametrize("side", ["here", "there"])
+def test_what_is_recorded_does_not_rest(side: str, bridge: Bridge, robot: Domain) -> None:
+    publisher = robot.publisher("/chat")
+    bridge.server(features=ON if side == "there" else {})
+    bridge.client(Topic("/chat", "transmit", lazy=True), features=ON if side == "here" else {})
+    eventually(publisher.get_subscription_count)
+
+
 def test_burst_of_large_and_small_keeps_order(bridge: Bridge, robot: Domain, pc: Domain) -> None:
     """Large ones are unpacked and published on other threads; those behind them wait."""
     listener, publisher = pc.listener("/chat"), robot.publisher("/chat")
