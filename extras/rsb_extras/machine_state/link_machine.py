@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from rsb_bridge.link.extension import Extension
 from rsb_bridge.model.snapshot import Level
-from rsb_extras.machine_state.machine_figures import MACHINE, MachineJudge, MachineState, MachineFault, shown
+from rsb_extras.machine_state.machine_figures import MACHINE, MachineFault, MachineJudge, MachineState, shown
 from rsb_extras.machine_state.machine_reading import EVERY, MachineWatch
 
 if TYPE_CHECKING:
