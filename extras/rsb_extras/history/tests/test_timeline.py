@@ -444,6 +444,29 @@ def test_machine_with_old_time_is_corrected_later() -> None:
     assert world.track("/scan", 4 * HOUR).up < 360, "the day before is not in the last hours"
 
 
+def test_a_process_that_ran_ahead_puts_nothing_into_the_future() -> None:
+    world = World("/scan")
+    world.go(600)
+    world = next_process(world, 3000)
+    world.clock.wall += HOUR  # set by hand, and wrong
+    world.go(600)
+    world.put("/scan", State.DOWN, "no publisher")
+    world.go(60)
+    world.put("/scan", State.OK)
+    world.clock.wall -= HOUR  # set right while nothing ran
+    world = next_process(world, 60)
+    world.go(700)
+    world.put("/scan", State.STALE, "nothing for 15 s")
+    world.go(10)
+    report = world.report(2 * HOUR)
+    assert report.time == world.clock.wall
+    assert [(each.start - EPOCH, each.state) for each in report.outages] == [(4260, "down"), (5020, "stale")]
+    assert [round(gap.seconds) for gap in report.gaps][1:] == [3060], "how far it was ahead is known to the pause only"
+    scan = world.track("/scan", 2 * HOUR)
+    assert (scan.up, scan.out) == (600 + 600 + 700, 70)
+    assert sum("earlier process was ahead by 59 min or more" in each.text for each in world.events.after(0)) == 1
+
+
 def test_a_history_from_the_future_is_refused() -> None:
     world = World("/scan")
     world.go(60)
