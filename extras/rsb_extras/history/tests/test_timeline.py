@@ -402,6 +402,21 @@ def next_process(world: World, away: float) -> World:
     return new
 
 
+def test_a_slow_topic_is_not_down_before_its_link_is() -> None:
+    world = World("/scan")
+    world.go(600)
+    world.put("/scan", State.SLOW, "2 Hz of 20 expected")
+    world.go(60)
+    world.put_link(State.DOWN, "no answer")
+    world.go(30)
+    world.put_link(State.OK)
+    world.go(60)
+    assert brief(world.outages()) == [
+        ("/scan", 62, "slow", "2 Hz of 20 expected"), ("", 32, "down", "no answer"), ("/scan", 32, "down", "no link"),
+    ]  # fmt: skip
+    assert [each.with_link for each in world.outages()] == [False, False, True]
+
+
 def test_restart_is_gap_with_everything_else_kept() -> None:
     world = World("/scan", "/map")
     world.go(600)
