@@ -16,6 +16,8 @@ from rsb_console.screens.save_screens import ChangedScreen
 from rsb_console.screens.topic_form import TopicScreen
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from textual.geometry import Region
     from textual.pilot import Pilot
     from textual.screen import Screen
@@ -47,7 +49,7 @@ async def test_on_the_main_screen_and_on_a_form(app: ConsoleApp, pilot: Pilot[No
     assert not region.overlaps(dialog.region)
 
 
-QUESTIONS = {
+QUESTIONS: dict[str, Callable[[], Screen[Any]]] = {
     "short": lambda: ConfirmScreen("Remove /scan?", "It is removed on both sides.", "Remove", Effect.LOSES),
     "long": lambda: ConfirmScreen("Remove /scan?", "It is removed.\n" * 80, "Remove", Effect.LOSES),
     "changed": lambda: ChangedScreen(Path("robot1.yaml")),
