@@ -324,6 +324,25 @@ def test_bridged_topics_are_not_offered_again() -> None:
     )
 
 
+@pytest.mark.parametrize("width", [73, 78, 93])
+def test_types_get_the_room_that_names_leave(width: int) -> None:
+    battery = TopicInfo("/battery_state", "sensor_msgs/msg/BatteryState", "", Qos(), 1, 0)
+    (suggestion,) = suggestions_for(Ends(False, "robot1", False), [], [battery], [])
+    line = "".join(piece for piece, _ in suggestion.line(width))
+    assert line.endswith("  sensor_msgs/BatteryState")
+    assert len(line) <= width
+
+
+def test_a_type_that_is_cut_shows_that() -> None:
+    pose = TopicInfo("/initial_pose_of_robot", "geometry_msgs/msg/PoseWithCovarianceStamped", "", Qos(), 1, 0)
+    (suggestion,) = suggestions_for(Ends(False, "robot1", False), [], [pose], [])
+    line = "".join(piece for piece, _ in suggestion.line(73))
+    assert len(line) <= 73
+    assert "geometry_msgs" in line
+    assert "…" in line
+    assert line.endswith("Stamped")
+
+
 @pytest.mark.parametrize("width", [73, 93])
 def test_a_long_name_is_cut_in_its_middle(width: int) -> None:
     (suggestion,) = suggestions_for(
