@@ -92,8 +92,10 @@ class PeekSlot:
         finally:
             self._waiting.discard(future)
             self.wanted = self.tap is not None or self.is_awaited
-            self._looked_at = future.get_loop().time()
-            self.changed()
+            loop = future.get_loop()
+            self._looked_at = loop.time()
+            if not loop.is_closed():  # else it is the end of an engine that no longer has a route to change
+                self.changed()
 
 
 class Peekable(Protocol):
