@@ -331,7 +331,6 @@ class Sender:
         self.route.limit.set_profile_rate((self.route.peer.profile.max_rate or 0.0) if self._profile_limits else 0.0)
         self.flow.act(now, awaited=crossing.flows or self.facts.lacks_publisher(crossing))
         self.subscription.tick()
-        self.lazy.look()
         if self.route.age.publishers.since is None and crossing.flows and not self.flow.is_latched:
             self._tick_clocks()
 
