@@ -186,23 +186,27 @@ class _Parts:
     def fix(self, shapes: _Shapes) -> None:
         self._run = _then(self._run, shapes)
 
-    def part(self, part: _Text | _Elements) -> None:
+    def part(self, part: _Run | _Text | _Elements) -> None:
         self._end_run()
         self._parts.append(part)
 
     def add(self, element: _Body, count: int) -> None:
         """Add so many elements, as fields of fixed size if they have few holes, or one with its parts if it has few."""
         shapes = _several(element, count)
-        if shapes is not None and max(len(holes) for _, holes in (*shapes, *self._run)) <= _HOLES:
+        if shapes is not None and self._has_room(shapes):
             self.fix(shapes)
         elif count == 1 and len(element.parts) <= _PARTS_INLINED:
             for part in element.parts:
-                if isinstance(part, _Run):
+                if isinstance(part, _Run) and self._has_room(part.shapes):
                     self.fix(part.shapes)
                 else:
                     self.part(part)
         else:
             self.part(_Elements(element, count))
+
+    def _has_room(self, shapes: _Shapes) -> bool:
+        """Whether the run and what is to follow have few holes: else types that have each other twice double them."""
+        return max(len(holes) for _, holes in (*shapes, *self._run)) <= _HOLES
 
     def _end_run(self) -> None:
         if self._run is not _NOTHING:
