@@ -40,7 +40,7 @@ NOW = 2e6
 """s."""
 ON_ONE_LINE = 80
 """Characters of a text that the first screen shows whole."""
-STRING, INT = "std_msgs/msg/String", "std_msgs/msg/Int32"
+STRING, INT, TF = "std_msgs/msg/String", "std_msgs/msg/Int32", "tf2_msgs/msg/TFMessage"
 RELIABLE, BEST_EFFORT, LATCHED = Qos(), Qos(reliability="best_effort"), Qos(durability="transient_local")
 
 
@@ -76,6 +76,7 @@ LOOSE: dict[str, Any] = {"endpoints": [endpoint("/a", BEST_EFFORT)]}
 ALIKE: dict[str, Any] = {"similar": "/char"}
 STALE: dict[str, Any] = {"stale_since": NOW - 20.0}
 STOPPED: dict[str, Any] = {"stopped_since": NOW - 3.0, "expected_rate": 10.0}
+DOUBLED: dict[str, Any] = {"endpoints": BOTH, "regular": True}
 SLOW: dict[str, Any] = {"slow_since": NOW - 8.0, "expected_rate": 20.0}
 
 
@@ -161,6 +162,14 @@ def test_a_route_that_flows_is_fine() -> None:
         (SENDER, {"loss": Loss(9, 10, "of a newer peer", 0.0)}, State.SLOW, Cause.LOSSY, ["9", "10"]),
         (SENDER, {"loss": Loss(8, 8, "queue full", 0.0), "expired": EXPIRED}, State.LATE, Cause.LINK_SLOW, []),
         (SENDER, {"limit": 5.0}, State.OK, Cause.THROTTLED, ["5 Hz"]),
+        (SENDER, DOUBLED, State.OK, Cause.SEVERAL_PUBLISHERS, ["/b and /talker publish it"]),
+        (SENDER, DOUBLED | {"endpoints": [TALKER, TALKER]}, State.OK, Cause.SEVERAL_PUBLISHERS,
+         ["/talker (2 publishers) publishes it"]),
+        (SENDER, DOUBLED | SLOW | {"rate": 2.0}, State.SLOW, Cause.SLOW, ["/b and /talker"]),
+        (SENDER, {"endpoints": BOTH}, State.OK, Cause.NONE, []),
+        (SENDER, DOUBLED | {"endpoints": [TALKER, endpoint("/_rsb_robot2_0123abcd")]}, State.OK, Cause.NONE, []),
+        (SENDER, DOUBLED | {"endpoints": [endpoint(each, type_name=TF) for each in "ab"], "type_name": TF}, State.OK,
+         Cause.NONE, []),
         (RECEIVER, GONE, State.UNHEARD, Cause.NO_SUBSCRIBER, ["/robot1/chat", "domain 3"]),
         (RECEIVER, {"qos": BEST_EFFORT}, State.UNHEARD, Cause.QOS_INCOMPATIBLE, ["/rviz ", "reliable", "best_effort"]),
         (RECEIVER, {"endpoints": [TALKER, MAPPER]}, State.UNHEARD, Cause.QOS_INCOMPATIBLE,

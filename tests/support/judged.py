@@ -64,6 +64,7 @@ _OF_TOPIC: dict[str, Any] = {
     "new": (),
     "slow_since": None,
     "rate": 0.0,
+    "regular": False,
     "expected_rate": None,
     "lost_in_dds": 0,
     "left": 0,
@@ -109,7 +110,7 @@ def topic_half(now: float = 0.0, **facts: Any) -> Any:
     half.offered, half.report_now = known["qos"], None
     half.age = SimpleNamespace(late=lambda: known["expired"])
     half.judged = SimpleNamespace(shown_cause=known["shown_cause"])
-    half.meter = SimpleNamespace(rate=known["rate"])
+    half.meter = SimpleNamespace(rate=known["rate"], regular=known["regular"])
     half.health = SimpleNamespace(
         expected_rate=known["expected_rate"],
         stop=SimpleNamespace(since=known["stopped_since"], new=known["new"]),
@@ -117,7 +118,9 @@ def topic_half(now: float = 0.0, **facts: Any) -> Any:
         losses=SimpleNamespace(loss=known["loss"]),
         lost_in_dds=lambda: known["lost_in_dds"],
     )
-    half.drivers = SimpleNamespace(several=known["drivers"], here=known["drivers"], there=())
+    half.drivers = SimpleNamespace(
+        several=known["drivers"], here=known["drivers"], there=(), are_watched=bool(known["drivers"])
+    )
     half.backlog = SimpleNamespace(exists=known["left"] > 0, left=known["left"])
     half.stale_since = lambda crossing: known["stale_since"]
     half.late = lambda: known["late"]

@@ -252,6 +252,8 @@ class Receiver:
 
     def measure(self, now: float, crossing: Crossing, *, learns: bool) -> None:
         self.flow.latency.tick()
+        if self.facts.report_now is not None:
+            self.route.meter.publishers = self.facts.report_now.publishers
         if self.listeners.further:  # whether other links' messages may come changes without the graph
             self.flow.drivers.look(self.listeners.further)
         self._judge_lateness(now, flows=crossing.flows, learns=learns)

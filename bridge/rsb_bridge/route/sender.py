@@ -315,6 +315,7 @@ class Sender:
 
     def measure(self, now: float, crossing: Crossing, *, learns: bool) -> None:
         flows, ledger = crossing.flows, self.facts.ledger
+        self.route.meter.publishers = sum([each.type_name == self.carried.type_name for each in self.carried.endpoints])
         awaited = self.subscription.receives if flows else self.facts.lacks_publisher(crossing)
         # A latched topic may be silent for any time, unless an operator expects a rate.
         usual = None if self.flow.is_latched else self.route.meter.usual_rate

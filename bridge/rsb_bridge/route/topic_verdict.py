@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar
 
 from rsb_bridge.model.audience import Audience, Deaf
+from rsb_bridge.model.names import is_bridge
 from rsb_bridge.model.qos import clashes
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import join_first, sanitize_text
@@ -48,6 +49,20 @@ NOT_MATCHED = (
 """Verbs for one silent publisher, and for several."""
 _NAMED = 3
 """Nodes that a sentence names."""
+_OF_MANY = frozenset(
+    {
+        "action_msgs/msg/GoalStatusArray",
+        "bond/msg/Status",
+        "diagnostic_msgs/msg/DiagnosticArray",
+        "rcl_interfaces/msg/Log",
+        "rcl_interfaces/msg/ParameterEvent",
+        "sensor_msgs/msg/JointState",
+        "tf2_msgs/msg/TFMessage",
+        "visualization_msgs/msg/Marker",
+        "visualization_msgs/msg/MarkerArray",
+    }
+)
+"""Types of topics that many nodes publish by design."""
 _REASON_LENGTH = 200
 """Characters for which a node is deaf: a report to the other side has room for hundreds of routes."""
 
@@ -246,6 +261,17 @@ def _several(half: JudgedTopic, _: Crossing) -> Verdict | None:
     if not (drivers.here or drivers.there) or not (several := drivers.several):
         return None
     text = f"{driver_names(several)} publish it: a robot follows all; stop all but one"
+    return Verdict(State.OK, Cause.SEVERAL_PUBLISHERS, text)
+
+
+def _shared(half: SendingTopic, _: Crossing) -> Verdict | None:
+    if not half.route.meter.regular or half.carried.type_name in _OF_MANY or half.flow.drivers.are_watched:
+        return None
+    type_name = half.carried.type_name
+    own = [each for each in half.carried.endpoints if each.type_name == type_name and not is_bridge(each.node)]
+    if len(own) < 2:
+        return None
+    text = f"{_plural(own, 'publishes', 'publish')} it: subscribers get all; stop those that are not meant"
     return Verdict(State.OK, Cause.SEVERAL_PUBLISHERS, text)
 
 
@@ -541,6 +567,7 @@ OF_SENDER: Rules[SendingTopic] = (
     _slow,
     _catching_up,
     _several,
+    _shared,
     _unsent,
 )
 OF_RECEIVER: Rules[ReceivingTopic] = (_nothing_comes, _expired, _late, _clocks, _subscribers, _several, _unreceived)
