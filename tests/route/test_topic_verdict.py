@@ -30,6 +30,7 @@ from rsb_bridge.route.topic_verdict import (
     PUBLISHED_NOTHING,
     STOPPED_PUBLISHING,
     USE_TCP,
+    Elsewhere,
     audience,
 )
 from rsb_bridge.telemetry.watches import Loss
@@ -73,7 +74,8 @@ NEVER: dict[str, Any] = {"came": False}
 UNANSWERED: dict[str, Any] = {"crossing": Crossing.NOT_OPEN, "accepted": None}
 GONE: dict[str, Any] = {"endpoints": []}
 LOOSE: dict[str, Any] = {"endpoints": [endpoint("/a", BEST_EFFORT)]}
-ALIKE: dict[str, Any] = {"similar": "/char"}
+ALIKE: dict[str, Any] = {"elsewhere": Elsewhere(Cause.SIMILAR_NAME, "did you mean /char?")}
+THERE: dict[str, Any] = {"elsewhere": Elsewhere(Cause.PUBLISHED_THERE, "/lidar publishes it on robot1")}
 STALE: dict[str, Any] = {"stale_since": NOW - 20.0}
 STOPPED: dict[str, Any] = {"stopped_since": NOW - 3.0, "expected_rate": 10.0}
 DOUBLED: dict[str, Any] = {"endpoints": BOTH, "regular": True}
@@ -127,6 +129,8 @@ def test_a_route_that_flows_is_fine() -> None:
         (SENDER, unresolved(Cause.TYPE_CONFLICT), State.DOWN, Cause.TYPE_CONFLICT, ["as told"]),
         (SENDER, GONE | unresolved(Cause.NO_PUBLISHER), State.WAITING, Cause.NO_PUBLISHER, ["as told"]),
         (SENDER, GONE | NEVER | ALIKE, State.WAITING, Cause.SIMILAR_NAME, ["/chat", "domain 2", "/char"]),
+        (SENDER, GONE | NEVER | THERE, State.WAITING, Cause.PUBLISHED_THERE, ["domain 2; /lidar", "robot1"]),
+        (SENDER, GONE | THERE | unresolved(Cause.NO_PUBLISHER), State.WAITING, Cause.PUBLISHED_THERE, ["as told"]),
         (SENDER, STOPPED | GONE | ALIKE, State.STOPPED, Cause.PUBLISHER_GONE, ["any more", "/char?"]),
         (SENDER, NEVER, State.WAITING, Cause.PUBLISHER_SILENT, [f"/talker {PUBLISHED_NOTHING[0]}"]),
         (SENDER, NEVER | {"endpoints": [MAPPER]}, State.WAITING, Cause.PUBLISHER_SILENT, ["/map latches", "volatile"]),
@@ -175,6 +179,10 @@ def test_a_route_that_flows_is_fine() -> None:
         (RECEIVER, {"endpoints": [TALKER, MAPPER]}, State.UNHEARD, Cause.QOS_INCOMPATIBLE,
          ["/map ", "transient_local"]),
         (RECEIVER, {"endpoints": [ODD]}, State.UNHEARD, Cause.TYPE_CONFLICT, ["/odd ", INT, STRING]),
+        (RECEIVER, {"endpoints": [ODD], "type_before": INT, "publisher_nodes": ("/lidar",)}, State.UNHEARD,
+         Cause.TYPE_CONFLICT, [f"/lidar publishes {STRING} now, /odd has {INT} as before: correct the publisher"]),
+        (RECEIVER, {"endpoints": [ODD], "type_before": INT}, State.UNHEARD, Cause.TYPE_CONFLICT,
+         [f"it is published as {STRING} now, /odd has {INT} as before"]),
     ],
 )  # fmt: skip
 def test_each_cause_is_named_in_words(
@@ -300,7 +308,7 @@ facts = st.fixed_dictionaries(
         "came": st.booleans(),
         "limit": st.sampled_from([0.0, 5.0]),
         "endpoints": endpoints,
-        "similar": texts,
+        "elsewhere": st.sampled_from([None, *ALIKE.values(), *THERE.values()]),
         "described": st.booleans(),
         "type_name": st.sampled_from(["", STRING]),
         "qos": st.none() | qos,

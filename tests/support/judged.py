@@ -49,7 +49,7 @@ _OF_TOPIC: dict[str, Any] = {
     "qos": None,
     "unresolved": None,
     "why_unresolved": "",
-    "similar": "",
+    "elsewhere": None,
     "subscribe_failed": "",
     "unmatched": False,
     "sent": 0,
@@ -57,6 +57,8 @@ _OF_TOPIC: dict[str, Any] = {
     "audience": NOBODY,
     "others": (),
     "clocks": frozenset(),
+    "type_before": "",
+    "publisher_nodes": (),
     "drivers": (),
     "left_out": "",
     "stale_since": None,
@@ -128,8 +130,8 @@ def topic_half(now: float = 0.0, **facts: Any) -> Any:
     for name in ("why_unresolved", "datagrams", "remedy_for_size"):
         setattr(half, name, _always(known[name]))
     for name in (
-        "endpoints", "type_name", "qos", "unresolved", "similar", "subscribe_failed", "unmatched", "audience", "others",
-        "clocks", "malformed", "loss_unexplained",
+        "endpoints", "type_name", "qos", "unresolved", "elsewhere", "subscribe_failed", "unmatched", "audience",
+        "others", "clocks", "type_before", "publisher_nodes", "malformed", "loss_unexplained",
     ):  # fmt: skip
         setattr(half, name, known[name])
     return half

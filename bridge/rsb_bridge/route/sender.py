@@ -79,7 +79,7 @@ class Sender:
         route.rested.append(self.path.traffic.rested)
         self.subscription = TopicSubscription(route, self.path, self.loop_filter, self._look_who_is_present)
         self._unwanted = True  # since the last subscription, messages were not to cross for a while
-        self.resolver = Resolver(route.context, route.proposal, route.judge_again)
+        self.resolver = Resolver(route)
         self.health = Health()
         self.delays = SendersDelay()
         self.facts = SenderFacts(
@@ -407,6 +407,7 @@ class Sender:
             text = f"malformed {whose}: {report.malformed}: see the node here that sent it"
             self.route.notices.message_error(EventCode.ROUTE_MALFORMED, text)
         self.facts.report = report
+        self.resolver.published_there = report.publishers
         self.flow.drivers.told(report.drivers)
         self.route.wake()
         deaf = tuple(Deaf(each.node, each.cause, each.reason) for each in report.deaf)

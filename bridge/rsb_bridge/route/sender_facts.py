@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from rsb_bridge.route.sending import OutgoingPath
     from rsb_bridge.route.topic_flow import AgreedEnd, TopicFlow
     from rsb_bridge.route.topic_subscription import TopicSubscription
+    from rsb_bridge.route.topic_verdict import Elsewhere
     from rsb_bridge.wire.records import ReceivedReport
 
 _NO_TYPE = frozenset({Cause.TYPE_UNKNOWN, Cause.TYPE_CONFLICT})
@@ -186,9 +187,8 @@ class SenderFacts(TopicFacts):
         return ""
 
     @property
-    def similar(self) -> str:
-        """A published topic with a similar name, which may be meant, or an empty string."""
-        return self._resolver.similar
+    def elsewhere(self) -> Elsewhere | None:
+        return self._resolver.elsewhere
 
     @property
     def unresolved(self) -> Cause | None:

@@ -49,7 +49,7 @@ NOT_MATCHED = (
 """Verbs for one silent publisher, and for several."""
 _NAMED = 3
 """Nodes that a sentence names."""
-_OF_MANY = frozenset(
+OF_MANY = frozenset(
     {
         "action_msgs/msg/GoalStatusArray",
         "bond/msg/Status",
@@ -124,7 +124,7 @@ class SendingTopic(JudgedTopic, Protocol):
     def why_unresolved(self) -> str: ...
 
     @property
-    def similar(self) -> str: ...
+    def elsewhere(self) -> Elsewhere | None: ...
 
     @property
     def has_sent(self) -> bool: ...
@@ -146,6 +146,21 @@ class ReceivingTopic(JudgedTopic, Protocol):
     listeners: Any
     report_now: Any
 
+    @property
+    def publisher_nodes(self) -> tuple[str, ...]: ...
+
+
+class Elsewhere(NamedTuple):
+    """Where a topic without a publisher is published instead.
+
+    Attributes:
+        cause: `Cause.SIMILAR_NAME` or `Cause.PUBLISHED_THERE`.
+        text: for an operator, with the remedy as a question.
+    """
+
+    cause: Cause
+    text: str
+
 
 TopicT = TypeVar("TopicT", bound=JudgedTopic)
 
@@ -153,7 +168,7 @@ TopicT = TypeVar("TopicT", bound=JudgedTopic)
 class DeafText(Wording):
     """Reasons why DDS does not match a subscription with a publisher."""
 
-    TYPE = "its type is {asked}, not {offered}: correct it"
+    TYPE = "its type is {asked}, and that of the messages {offered}: make them equal"
     QOS = "it asks for {asked}, offered is {offered}: change its QoS"
     UNMATCHED = "DDS does not match it: check its other policies, partition and security"
 
@@ -201,9 +216,9 @@ def audience(type_name: str, offered: Qos, subscriptions: Iterable[Endpoint], co
     return Audience(count, node_names(hearing), tuple(Deaf(*each) for each in sorted(deaf)[:NODES]))
 
 
-def no_publisher(topic: str, domain_id: int, similar: str = "", *, gone: bool = False) -> str:
+def no_publisher(topic: str, domain_id: int, elsewhere: Elsewhere | None = None, *, gone: bool = False) -> str:
     """Says that nobody publishes a topic, or no longer."""
-    hint = f"; did you mean {similar}?" if similar else ""
+    hint = "" if elsewhere is None else f"; {elsewhere.text}"
     return f"no publisher of {topic} in domain {domain_id}{' any more' if gone else ''}{hint}"
 
 
@@ -265,7 +280,7 @@ def _several(half: JudgedTopic, _: Crossing) -> Verdict | None:
 
 
 def _shared(half: SendingTopic, _: Crossing) -> Verdict | None:
-    if not half.route.meter.regular or half.carried.type_name in _OF_MANY or half.flow.drivers.are_watched:
+    if not half.route.meter.regular or half.carried.type_name in OF_MANY or half.flow.drivers.are_watched:
         return None
     type_name = half.carried.type_name
     own = [each for each in half.carried.endpoints if each.type_name == type_name and not is_bridge(each.node)]
@@ -407,11 +422,11 @@ def _why_silent(half: SendingTopic) -> tuple[Cause, str]:
 
 
 def _nobody(half: SendingTopic) -> Cause:
-    return Cause.SIMILAR_NAME if half.similar else Cause.NO_PUBLISHER
+    return Cause.NO_PUBLISHER if half.elsewhere is None else half.elsewhere.cause
 
 
 def _no_publisher(half: SendingTopic, *, gone: bool = False) -> str:
-    return no_publisher(half.route.local_topic, half.route.context.domain_id, half.similar, gone=gone)
+    return no_publisher(half.route.local_topic, half.route.context.domain_id, half.elsewhere, gone=gone)
 
 
 def _slow(half: SendingTopic, _: Crossing) -> Verdict | None:
@@ -495,6 +510,8 @@ def _subscribers(half: ReceivingTopic, _: Crossing) -> Verdict | None:
         each: why for each in half.carried.endpoints if (why := mismatch(half.carried.type_name, qos, each)) is not None
     }
     if others := [each for each, why in deaf.items() if why.cause is Cause.TYPE_CONFLICT]:
+        if all(each.type_name == half.listeners.type_before for each in others):
+            return Verdict(State.UNHEARD, Cause.TYPE_CONFLICT, _changed_type(half, others))
         carries = f"{half.route.local_topic} carries {half.carried.type_name}"
         text = f"{types_and_nodes(others)}, but {carries}: correct the subscription"
         return Verdict(State.UNHEARD, Cause.TYPE_CONFLICT, text)
@@ -517,6 +534,14 @@ def _subscribers(half: ReceivingTopic, _: Crossing) -> Verdict | None:
             State.UNHEARD, Cause.NO_SUBSCRIBER, no_subscriber(half.route.local_topic, half.route.context.domain_id)
         )
     return None
+
+
+def _changed_type(half: ReceivingTopic, others: Collection[Endpoint]) -> str:
+    """Say that the publishers have another type than before, and who still has that one."""
+    now, nodes = half.carried.type_name, half.publisher_nodes
+    verb = "publishes" if len(nodes) == 1 else "publish"
+    changed = f"{named(nodes)} {verb} {now} now" if nodes else f"it is published as {now} now"
+    return f"{changed}, {types_and_nodes(others)} as before: correct the publisher"
 
 
 def _clocks(half: ReceivingTopic, _: Crossing) -> Verdict | None:
