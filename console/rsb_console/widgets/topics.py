@@ -83,7 +83,7 @@ def _rate(route: RouteSnapshot) -> str:
     rate = formats.hertz(present_rate(route)) if carries(route) else "-"
     if route.calls is not None:
         return f"{rate} +{route.calls.in_flight}" if route.calls.in_flight else rate
-    return rate if route.expected_rate is None else f"{rate}/{formats.expected(route.expected_rate)}"
+    return f"{rate}{formats.beside_rate(route)}"
 
 
 def present_rate(route: RouteSnapshot) -> float:
