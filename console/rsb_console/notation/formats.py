@@ -8,7 +8,7 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, TypeAlias
 
-from rsb_bridge.model.names import expand_type_name
+from rsb_bridge.model.names import expand_type_name, other_side
 from rsb_bridge.model.qos import AUTO
 from rsb_bridge.model.snapshot import RouteSnapshot
 from rsb_bridge.model.text import join_first, plural
@@ -67,6 +67,12 @@ def expected(rate: float) -> str:
     """Format an expected rate in Hz, without the unit: ``10``, ``0.5``, ``1000``."""
     # From 1000 on, .3g would give 1e+03.
     return f"{rate:.3g}" if rate < 1000 else f"{rate:.0f}"
+
+
+def unsaved_there(snapshot: Snapshot) -> str:
+    """Name the sides whose files lack a change that was made here, or return an empty string."""
+    names = [other_side(snapshot.role, link.name) for link in snapshot.links if link.unsaved_there]
+    return join_first(names, _NODES_NAMED)
 
 
 def limit(route: RouteSnapshot) -> float | None:
