@@ -251,7 +251,7 @@ LOST_PACKETS = {
     "slow": Verdict(State.SLOW, Cause.LOSSY, LOSSY.text),
     "stuck": Verdict(State.DOWN, Cause.LOSSY, LOSSY.text),
     "fine": FINE,
-    "opens": Verdict(State.WAITING, Cause.NO_MESSAGE, "waiting: type known"),
+    "opens": Verdict(State.WAITING, Cause.NO_MESSAGE, "not yet: type known"),
     "dead": Verdict(State.STOPPED, Cause.PUBLISHER_SILENT, "/talker has stopped"),
 }
 """A half's verdicts on a path that loses packets."""

@@ -476,7 +476,7 @@ def _unsent(half: SendingTopic, crossing: Crossing) -> Verdict | None:
 
 
 def _no_message(missing: str = "") -> Verdict:
-    return Verdict(State.WAITING, Cause.NO_MESSAGE, f"waiting: {missing}" if missing else "no message yet")
+    return Verdict(State.WAITING, Cause.NO_MESSAGE, missing or "no message yet")
 
 
 # --- the receiving side
@@ -494,11 +494,11 @@ def _unreceived(half: ReceivingTopic, crossing: Crossing) -> Verdict | None:
 
 
 def waits_for(half: ReceivingTopic) -> str:
-    """Return the stage that has to pass before anything can cross, or its reason."""
+    """Return in words what has to pass before anything can cross."""
     stages = half.stages()
     if half.report_now is None and all(each.done is not False for each in stages):
         # Only the sending side knows the first stages, and has not reported on this opening yet.
-        return "the other side's report" if half.route.life.accepted else ACCEPTED
+        return "not yet: the other side's report" if half.route.life.accepted else f"not yet: {ACCEPTED}"
     return first_missing(stages)
 
 
