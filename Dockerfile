@@ -12,7 +12,8 @@ RUN apt-get update \
   && apt-get install --no-install-recommends -y python3-venv "ros-${ROS_DISTRO}-common-interfaces" \
   && rm -rf /var/lib/apt/lists/* \
   && useradd --create-home --uid 10001 rsb \
-  && install -d -m 1777 /home/rsb/.local/state
+  && install -d -m 1777 /home/rsb/.local/state \
+  && chmod 755 /home/rsb /home/rsb/.local
 WORKDIR /opt/rsb-console
 COPY . source
 # ROS takes numpy and lark from the system.
@@ -20,7 +21,8 @@ RUN python3 -m venv --system-site-packages . \
   && bin/pip install --no-cache-dir --require-hashes -r source/locks/fleet.txt \
   && bin/pip install --no-cache-dir --no-deps --no-build-isolation ./source \
   && rm -rf source
-ENV PATH=/opt/rsb-console/bin:$PATH LANG=C.UTF-8
+# Docker gives another user than the image's (RSB_USER) / as its home, where nothing can be kept.
+ENV PATH=/opt/rsb-console/bin:$PATH LANG=C.UTF-8 HOME=/home/rsb
 USER 10001
 WORKDIR /home/rsb
 # The image's own entry point sources the setup file of its ROS.

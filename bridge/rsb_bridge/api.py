@@ -196,5 +196,8 @@ class EngineApi(ABC):
     def call(self, key: str, request: str, lane: str = "") -> Future[str]:
         return self.do(commands.Call(key, request, lane))
 
+    def call_whole(self, key: str, request: str, lane: str = "") -> Future[commands.WholeAnswer]:
+        return self.do(commands.CallWhole(key, request, lane))
+
     def stop_bridge(self) -> Future[None]:
         return self.do(commands.Stop())

@@ -173,6 +173,12 @@ class Context:
         with contextlib.suppress(RosError):  # its user reports that
             self.ros.installed_hash(type_name)
 
+    @property
+    def domain(self) -> str:
+        """The domain where nodes are missed, as texts name it: with how their discovery is, if that may be why."""
+        found = self.ros.discovery.found
+        return f"{self.domain_id} ({found})" if found else str(self.domain_id)
+
     def wall(self) -> float:
         """Return the seconds since the epoch on the wall clock, which may be set at any time."""
         return self.clock.time_ns() / 1e9

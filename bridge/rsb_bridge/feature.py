@@ -302,3 +302,7 @@ class Feature:
     def columns(self) -> Iterable[Any]:
         """Return columns of the topics, each a `rsb_console.notation.topic_column.TopicColumn`."""
         return ()
+
+    def link_facts(self) -> Iterable[Any]:
+        """Return lines on links, each a `rsb_console.notation.link_fact.LinkFact`."""
+        return ()

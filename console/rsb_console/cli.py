@@ -48,6 +48,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     sys.stderr = CleanErrors(sys.stderr)
     signal.signal(signal.SIGTERM, _terminated)  # until the command handles it, which a bridge does once it is loaded
     if argv is None:
+        _leave_ascii()
         _leave_working_folder()
     try:
         return _run(sys.argv[1:] if argv is None else list(argv))
@@ -56,6 +57,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     finally:
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # one more would only end the interpreter's end in a traceback
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+
+def _leave_ascii() -> None:
+    """Start again with UTF-8 where the locale has ASCII only, which can't open or print a path with an umlaut."""
+    if sys.getfilesystemencoding() == "ascii":
+        os.environ["PYTHONUTF8"] = "1"  # also of the processes that this one starts
+        os.execv(sys.executable, [sys.executable, "-X", "utf8", *sys.orig_argv[1:]])  # noqa: S606 -- this program
 
 
 def _leave_working_folder() -> None:

@@ -18,7 +18,10 @@ from tests.support.waiting import eventually
 from tests.support.wording import pattern, says
 
 from rsb_bridge.api import EngineError, InvalidRequestError
-from rsb_bridge.engine.inspector import CALLS_AT_ONCE
+from rsb_bridge.cdr.decoder import decode
+from rsb_bridge.cdr.description import hash_of_text, read_description
+from rsb_bridge.config.fields_text import whole_fields
+from rsb_bridge.engine.inspector import CALLS_AT_ONCE, CalledProblem
 from rsb_bridge.link.extension import Denied
 from rsb_bridge.model.calls import FIELDS_LENGTH
 from rsb_bridge.model.codes import EventCode
@@ -305,3 +308,32 @@ def test_a_large_answer_is_cut_and_says_so(bridge: Bridge, start: Callable[..., 
     poses = yaml.safe_load(text)["plan"]["poses"]
     assert 100 < len(poses) <= 1000
     assert poses[0]["pose"]["position"]["x"] == 0.5
+
+
+def test_program_gets_a_large_answer_whole(
+    bridge: Bridge, start: Callable[..., Spun], pc: Domain, machine: Machine
+) -> None:
+    """Up to what a frame of the control socket takes; beyond, a sentence says so."""
+    name = "x" * 100_000
+
+    def plan(request: GetPlan.Request, response: GetPlan.Response) -> GetPlan.Response:
+        response.plan.header.frame_id = name if request.tolerance < 2 else name * 170
+        response.plan.poses = [request.start] * 30_000
+        return response
+
+    start(pc, "planner").node.create_service(GetPlan, "/plan", plan)
+    _, client = bridge.both(called("/plan"))
+    machine.serve(client)
+    remote = machine.attach()
+    ready(client, "/plan")
+    request = "start: {header: {frame_id: map}, pose: {position: {x: .5}}}\ntolerance: "
+    key = route(remote, "/plan").key
+    whole = remote.call_whole(key, f"{request}1").result(60)
+    description = read_description(whole.description, hash_of_text(whole.description))
+    data, missing = whole_fields(decode(description, whole.payload, items=1 << 20, steps=1 << 20))
+    assert (missing, whole.goal, len(data["plan"]["poses"])) == ("", "", 30_000)
+    assert data["plan"]["header"]["frame_id"] == name
+    assert data["plan"]["poses"][-1]["pose"]["position"]["x"] == 0.5
+    with pytest.raises(EngineError, match=pattern(CalledProblem.TOO_LONG, type="nav_msgs/srv/GetPlan_Response")):
+        remote.call_whole(key, f"{request}3").result(60)
+    assert remote.unreachable == ""

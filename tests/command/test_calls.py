@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 import pytest
-from tests.console.scripted import SESSION, ScriptedEngine, answered, route
+from tests.console.scripted import SESSION, ScriptedEngine, answered, route, whole_answer
 from tests.support import surroundings
 from tests.support.wording import says
 
@@ -193,7 +193,7 @@ def test_a_service_flows_once_it_can_be_called(
 def test_a_call_prints_the_response(ran: Any, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch) -> None:
     answer(engine, "success: true\nmessage: 'docked'\n# the first 3 of 9 elements\n")
     assert ran("call", "/dock").out == "success: true\nmessage: 'docked'\n# the first 3 of 9 elements\n"
-    engine.called = answered("success: true\nmessage: 'docked'\n")
+    engine.called_whole = answered(whole_answer())
     printed = ran("call", "/dock", "{speed: 1}", "--json").json
     (landed,) = printed.pop("landed")
     assert printed == {"ok": True, "response": {"success": True, "message": "docked"}}
@@ -232,7 +232,8 @@ def test_which_service_is_called_has_to_be_clear(
 
 
 def test_a_call_without_an_answer_fails(ran: Any, engine: ScriptedEngine) -> None:
-    engine.called.set_exception(EngineError("/dock: late"))
+    for future in (engine.called, engine.called_whole):
+        future.set_exception(EngineError("/dock: late"))
     failed = ran("call", "/dock")
     assert (failed.code, failed.err) == (1, "rsb-console: /dock: late\n")
     assert ran("call", "/dock", "--json").json == {"ok": False, "error": "/dock: late"}
@@ -264,12 +265,12 @@ class Node:
 
 def test_a_cut_answer_is_an_error_for_programs(ran: Any, engine: ScriptedEngine) -> None:
     """The rest would be missing without a word."""
-    note = FieldNote.ELEMENTS(location="poses", shown=1, total=9)
-    answer(engine, f"# goal_id: {'ab' * 16}\nposes: [1]\n# {note}\n")
+    engine.called_whole = answered(whole_answer("ab" * 16, b"\0\1\0\0\1"))
     done = ran("call", "/dock", "--json")
-    assert (done.code, done.json["ok"], done.json["response"]) == (1, False, {"poses": [1]})
-    assert says(done.json["error"], CallProblem.CUT, topic="/dock", what=note)
+    assert (done.code, done.json["ok"], done.json["response"]) == (1, False, {"success": True})
+    assert says(done.json["error"], CallProblem.CUT, topic="/dock")
     assert done.json["goal_id"] == "ab" * 16
+    note = FieldNote.ELEMENTS(location="poses", shown=1, total=9)
     engine.now = replace(engine.now, routes=(NODE,))
     Node(
         engine,

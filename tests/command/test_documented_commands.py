@@ -16,7 +16,7 @@ import msgspec
 import pytest
 from tests.command.test_command import BRINGUP
 from tests.config.test_imports import DOMAINS
-from tests.console.scripted import LINK, NOW, SESSION, ScriptedEngine, call_route, route
+from tests.console.scripted import LINK, NOW, SESSION, ScriptedEngine, call_route, route, whole_answer
 from tests.support import constants, replaced, surroundings
 from tests.support.commands import parser_and_commands
 from tests.support.fleet import ServerEngine, topics
@@ -26,7 +26,7 @@ from tests.support.running import Running
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.config.session_file import save
 from rsb_bridge.feature import BRINGS_COMMANDS
-from rsb_bridge.model.commands import Call
+from rsb_bridge.model.commands import Call, CallWhole
 from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.model.snapshot import PatternSnapshot, PeekedMessage, State
 from rsb_console.command.shell import INTERRUPTED, OK
@@ -200,6 +200,9 @@ class Robot(Running):
     def _execute(self, command: Command[Any], step: Callable[[str], None] | None) -> Future[Any]:
         if isinstance(command, Call):
             return self._done(_ANSWERS[command.lane], "call", command.key)
+        if isinstance(command, CallWhole):
+            goal = "ab" * 16 if command.lane == "send_goal" else ""
+            return self._done(whole_answer(goal), "call", command.key)
         return super()._execute(command, step)
 
 

@@ -82,3 +82,15 @@ def test_every_cause_of_a_link_is_documented() -> None:
     assert {code for cell in cells for code in re.findall(r"`(\w+)`", cell)} == {
         cause.value for cause in LinkCause if cause
     }
+
+
+def test_each_picture_is_on_a_page() -> None:
+    root = DOCS.parent
+    folders = [DOCS / "pictures", *root.glob("extras/rsb_extras/*/docs/pictures")]
+    pages = [root / "README.md", *(page for folder in folders for page in folder.parent.glob("*.md"))]
+    shown = {
+        (page.parent / picture).resolve()
+        for page in pages
+        for picture in re.findall(r"!\[[^\]]*\]\(([^):]+)\)", page.read_text(encoding="utf-8"))
+    }
+    assert {picture.resolve() for folder in folders for picture in folder.iterdir()} <= shown

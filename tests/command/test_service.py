@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import getpass
+import os
 import shutil
 import subprocess
 from pathlib import Path
@@ -17,14 +18,14 @@ from tests.support.wording import says
 
 from rsb_bridge.config.session_file import save
 from rsb_bridge.model.session import Session
-from rsb_console.command.service import KEPT_VARIABLES, Service, ServiceText, unit_name
+from rsb_console.command.service import Service, ServiceText, kept_variables, unit_name
 
 
 @pytest.fixture(autouse=True)
 def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
     constants.SYSTEM_UNITS.set(monkeypatch, tmp_path / "system")
-    for name in (*KEPT_VARIABLES, "ROS_DISTRO"):
+    for name in (*kept_variables(os.environ), "ROS_DISTRO"):
         monkeypatch.delenv(name, raising=False)
     return tmp_path
 
@@ -134,6 +135,30 @@ def test_what_ros_takes_from_the_environment_goes_along(
     out = ran("show", session)[1]
     assert 'Environment="ROS_DOMAIN_ID=7"' in out
     assert 'Environment="CYCLONEDDS_URI=<a b=\\"50%%\\">"' in out
+
+
+def test_service_finds_the_nodes_that_the_shell_finds(ran: Any, session: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    kept = {
+        "CYCLONEDDS_URI": "file:///a.xml",
+        "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
+        "RMW_FASTRTPS_PUBLICATION_MODE": "SYNCHRONOUS",
+        "ROS2_EASY_MODE": "10.0.0.1",
+        "ROS_DISCOVERY_SERVER": "10.0.0.1:11811;",
+        "ROS_SECURITY_ENABLE": "true",
+        "ROS_SECURITY_ENCLAVE_OVERRIDE": "/robot1",
+        "ROS_SECURITY_KEYSTORE": "/keys",
+        "ROS_SECURITY_STRATEGY": "Enforce",
+        "ROS_SUPER_CLIENT": "True",
+        "ZENOH_ROUTER_CONFIG_URI": "/a.json5",
+        "ZENOH_SESSION_CONFIG_URI": "/b.json5",
+    }
+    others = {"ROS_DISTRO": "jazzy", "ROS_PYTHON_VERSION": "3", "ROS_LOG_DIR": "/home/a", "ZENOH_TOKEN": "a secret"}
+    for name, value in {**kept, **others}.items():
+        monkeypatch.setenv(name, value)
+    lines = ran("show", session)[1].splitlines()
+    assert [line for line in lines if line.startswith("Environment=")] == [
+        f'Environment="{name}={value}"' for name, value in kept.items()
+    ]
 
 
 def test_a_setup_file_is_sourced_first(ran: Any, session: Path, tmp_path: Path) -> None:

@@ -30,6 +30,10 @@ def one(**fields: Any) -> dict[str, Any]:
     return topics(Topic("/a", "transmit", **fields))
 
 
+def beat(*rates: float) -> dict[str, Any]:
+    return topics(*(Topic(f"/t{at}", "transmit", max_rate=rate, beat="front") for at, rate in enumerate(rates)))
+
+
 def many(count: int, port: int | None = None) -> list[Topic]:
     return [Topic(f"/t{at}", "transmit", port=port and port + at) for at in range(count)]
 
@@ -55,6 +59,10 @@ def many(count: int, port: int | None = None) -> list[Topic]:
         (topics(*many(PORTS_PER_CLIENT + 1, 5000)), None, "topics", Advice.TOO_MANY_PORTS, {"limit": PORTS_PER_CLIENT}),
         (one(qos=LATCHED), None, "topics[0].qos", Advice.DEPTH_OF_LATCHED, {"limit": LATCHED_DEPTH}),
         (one(qos=KEPT_DEPTH + 1), None, "topics[0].qos", Advice.DEPTH, {"limit": KEPT_DEPTH}),
+        (one(lazy=True, qos="latched"), None, "topics[0].lazy", Advice.NEVER_RESTS, {"why": "is latched"}),
+        (one(lazy=True, keep=5.0), None, "topics[0].lazy", Advice.NEVER_RESTS, {"why": "keeps its messages"}),
+        (one(lazy=True, arm=True), None, "topics[0].lazy", Advice.NEVER_RESTS, {"why": "has to be armed"}),
+        (beat(10.0, 5.0), None, "topics[1].max_rate", Advice.BEAT_RATES, {"other": "/t0"}),
     ],
 )
 def test_advice_has_its_location(
@@ -77,6 +85,8 @@ def test_advice_has_its_location(
         topics(*many(PORTS_PER_CLIENT, 5000)),
         one(qos={"profile": "latched", "depth": LATCHED_DEPTH}),
         one(qos={"history": "keep_all", "depth": 20_000}),
+        one(lazy=True),
+        beat(10.0, 10.0),
     ],
 )
 def test_what_is_right_needs_no_advice(session: dict[str, Any]) -> None:

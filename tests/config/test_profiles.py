@@ -92,8 +92,9 @@ def test_queues() -> None:
         peer = SimpleNamespace(profile=profile, linked=True, budget=PeerBudget(0.0))
         arming, age = SimpleNamespace(required=False), SimpleNamespace(only_newest=False)
         route: Any = SimpleNamespace(transport=transport, proposal=proposal, peer=peer, arming=arming, age=age)
-        flow: Any = SimpleNamespace(route=route, qos=qos, carried=Carried[SendingChannel]())
-        return Outbox(flow, AgreedEnd(route), RouteLedger(), Backlog()).limits(channel, 0, 0.0)
+        carried, end = Carried[SendingChannel](), AgreedEnd(route)
+        flow: Any = SimpleNamespace(route=route, qos=qos, carried=carried, end=end)
+        return Outbox(flow, RouteLedger(), Backlog()).limits(channel, 0, 0.0)
 
     live = limits(Qos(reliability="best_effort"), PROFILES["lte"])
     plain, lte = limits(Qos(), NO_PROFILE), limits(Qos(), PROFILES["lte"])

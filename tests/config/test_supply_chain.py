@@ -127,3 +127,13 @@ def test_robostack_has_what_the_package_needs() -> None:
     extras = PROJECT["project"]["optional-dependencies"]
     assert set(extras["ros"]) <= set(pixi["dependencies"])
     assert set(pixi["pypi-dependencies"]["rsb-console"]["extras"]) <= set(extras)
+
+
+def test_any_user_of_the_image_keeps_its_state() -> None:
+    """Docker has / for the home of a user that the image does not know, as `RSB_USER` is."""
+    compose, image = yaml.safe_load((ROOT / "compose.yaml").read_text()), (ROOT / "Dockerfile").read_text()
+    home = re.search(r"^ENV .*HOME=(\S+)", image, re.MULTILINE)
+    assert home is not None
+    assert f"state:{home[1]}/.local/state" in compose["services"]["bridge"]["volumes"]
+    assert f"install -d -m 1777 {home[1]}/.local/state" in image
+    assert f"chmod 755 {home[1]} {home[1]}/.local" in image

@@ -36,6 +36,7 @@ names = st.sampled_from(["/scan", "/a/b", "/camera/**"]) | paths | st.text(max_s
 numbers = st.none() | st.sampled_from([0.0, 1.0, 5.0, -1.0, 1e-9, 1e12, math.inf, math.nan])
 FIELDS: dict[str, st.SearchStrategy[Any]] = {
     **{name: st.booleans() for name, key in TOPIC_KEYS.items() if key.value == "switch"},
+    **{name: st.none() | st.booleans() for name, key in TOPIC_KEYS.items() if key.value == "choice"},
     **{name: numbers for name, key in TOPIC_KEYS.items() if key.value == "number"},
     "topic": names,
     "direction": st.sampled_from(get_args(Direction)),
@@ -47,6 +48,7 @@ FIELDS: dict[str, st.SearchStrategy[Any]] = {
     "compression": st.none() | st.sampled_from(["none", "zstd"]),
     "on_end": st.none() | st.sampled_from(ENDS) | st.text(max_size=8),
     "limits": st.none() | st.builds(VelocityLimits, numbers, numbers),
+    "beat": st.none() | st.sampled_from(["front", "", KEY, "a\nb", "a" * 300]),
     "keep": numbers | st.builds(Keep, numbers.filter(lambda number: number is not None), numbers),
     "kind": st.sampled_from(list(LISTS)),
     "priority": st.sampled_from(list(RANKS)),
@@ -98,6 +100,7 @@ def said(problems: list[Problem], where: str) -> list[tuple[str, str]]:
         ({"type": KEY}, "type"),
         ({"qos": KEY}, "qos"),
         ({"on_end": KEY, "arm": True}, "on_end"),
+        ({"beat": KEY}, "beat"),
         ({"topic": "/**", "excepts": ("/a", f"/{KEY}")}, "except[1]"),
     ],
 )

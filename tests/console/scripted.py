@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from rsb_bridge.api import EngineApi, EngineError
+from rsb_bridge.cdr.description import FieldType, MessageField, MessageType, TypeDescription, text_of
 from rsb_bridge.config.session_file import SessionInFile
 from rsb_bridge.model import commands
 from rsb_bridge.model.by_hand import Held
@@ -219,6 +220,7 @@ class ScriptedEngine(EngineApi):
         self.peeked: list[PeekedMessage] = []
         self.described: str | None = None
         self.called: Future[str] = Future()
+        self.called_whole: Future[commands.WholeAnswer] = Future()
         self.templates: dict[str, str] = {}
         self.demanded = ""
         self.reloads = Reloaded(("/scan (transmit): max_rate none → 5.0",))
@@ -306,6 +308,9 @@ class ScriptedEngine(EngineApi):
             case commands.Call(key, request, lane):
                 self.commands.append(("call", key, request, lane))
                 return self.called
+            case commands.CallWhole(key, request, lane):
+                self.commands.append(("call", key, request, lane))
+                return self.called_whole
             case commands.DescribeType(key):
                 if self.described is None:
                     return refused("neither side knows it")
@@ -328,6 +333,14 @@ def answers() -> dict[type[Command[Any]], Callable[[Any], object]]:
     files = sorted(_ROOT.glob("extras/rsb_extras/*/tests/scripted_answers.py"))
     modules = [import_module(f"rsb_extras.{path.parts[-3]}.tests.scripted_answers") for path in files]
     return {kind: answer for module in modules for kind, answer in module.ANSWERS.items()}
+
+
+def whole_answer(goal: str = "", payload: bytes = b"\0\1\0\0\1\0\0\0\7\0\0\0docked\0") -> commands.WholeAnswer:
+    """Return an answer of std_srvs/srv/Trigger as a bridge gives it to a program."""
+    fields = (MessageField("success", FieldType(15, 0, 0, "")), MessageField("message", FieldType(17, 0, 0, "")))
+    return commands.WholeAnswer(
+        payload, text_of(TypeDescription(MessageType("std_srvs/srv/Trigger_Response", fields), ())), goal
+    )
 
 
 def answered(result: T) -> Future[T]:

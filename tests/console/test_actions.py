@@ -33,7 +33,7 @@ from rsb_console.actions.all_actions import ACTIONS, BY_ID, KEYS_ON_SCREENS
 from rsb_console.app import ConsoleApp
 from rsb_console.preferences import PreferenceError, PreferenceProblem, load_keymap, split_keys
 from rsb_console.screens.dialog import ConfirmScreen
-from rsb_console.screens.help import HelpScreen
+from rsb_console.screens.help import ActionsProvider, HelpScreen
 from rsb_console.screens.links_screen import LinksScreen
 from rsb_console.screens.main import MainText
 from rsb_console.screens.message_screen import MessageScreen
@@ -196,6 +196,19 @@ async def test_the_palette_begins_with_what_is_likely(app: ConsoleApp, pilot: Pi
     assert BY_ID["move_down"].help not in picture
     border = app.screen.query_one("#--input").styles.border_top[1]
     assert border.hex == Color.parse(app.current_theme.primary).hex
+
+
+@on_main()
+@pytest.mark.parametrize(
+    ("typed", "first"), [("paus", "pause"), ("record", "record"), ("rest", "restart"), ("link", "links")]
+)
+async def test_palette_puts_names_before_scattered_letters(
+    app: ConsoleApp, pilot: Pilot[None], typed: str, first: str
+) -> None:
+    provider = ActionsProvider(app.screen)
+    found = [hit async for hit in provider.search(typed)]
+    (best,) = (each.help for each in ACTIONS if each.id == first)
+    assert str(max(found, key=lambda hit: hit.score).text) == best
 
 
 @on_main()

@@ -124,6 +124,13 @@ def test_faulty_flow_names_fault_stopped_passes_no_stage() -> None:
     assert DetailText.NOTHING_COMES() in stopped
 
 
+def test_the_curve_has_numbers_at_its_axis() -> None:
+    lines = said(route("/scan", history=(0.0, 20.0) * 30)).splitlines()
+    begin = next(number for number, line in enumerate(lines) if "Rate" in line)
+    axis = [line.split("┤")[0].strip() for line in lines[begin:] if "┤" in line]
+    assert axis == ["24.0", "0"]
+
+
 def test_what_is_throttled_on_purpose_is_no_loss() -> None:
     ledger = Ledger(offered=100, delivered=20, throttled=80)
     words = said(route("/scan", spec=Topic("/scan", "receive", max_rate=5.0), ledger=ledger))

@@ -12,13 +12,13 @@ from textual.pilot import Pilot
 
 from rsb_bridge.model.snapshot import LinkSnapshot, RefusedClient, RouteSnapshot, Snapshot, State
 from rsb_bridge.model.verdict import Cause, Verdict
-from rsb_bridge.route.topic_verdict import Elsewhere, no_publisher
+from rsb_bridge.route.resolving import Elsewhere, no_publisher
 from rsb_console.app import ConsoleApp
 from rsb_console.widgets.fault_pane import Heights, MoreKeys, fault_lines, faults_of, link_fault
 
 QOS = "/camera offers best effort, but this topic asks for reliable: its messages are not received; set qos: auto"
 MEANT = Elsewhere(Cause.SIMILAR_NAME, "did you mean /w_typo?")
-TYPO = route("/w_tpyo", State.WAITING, cause="similar_name", reason=no_publisher("/w_tpyo", 3, MEANT))
+TYPO = route("/w_tpyo", State.WAITING, cause="similar_name", reason=no_publisher("/w_tpyo", "3", MEANT))
 CAMERA = route("/camera", State.DOWN, reason="refused there")
 SIZES = [pytest.param(size, id=str(size)) for size in ((200, 50), (120, 36), (80, 24), (60, 24), (39, 20))]
 
@@ -42,7 +42,7 @@ def drawn(*routes: RouteSnapshot, width: int, most: int) -> list[str]:
 
 
 def test_faults_come_first_then_what_waits_for_remedy() -> None:
-    assert said(TYPO, *ROUTES, route("/a", State.WAITING, cause="no_publisher", reason=no_publisher("/a", 3))) == [
+    assert said(TYPO, *ROUTES, route("/a", State.WAITING, cause="no_publisher", reason=no_publisher("/a", "3"))) == [
         "✗ /robot2/scan: no publisher of /scan in domain 4",
         "▲ /robot1/map: nothing for 15 s",
         "◌ /w_tpyo: no publisher of /w_tpyo in domain 3; did you mean /w_typo?",

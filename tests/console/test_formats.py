@@ -41,6 +41,7 @@ FIVE = Topic("/scan", "receive", max_rate=5.0)
         (formats.span(12e-6), "12 µs"),
         (formats.span(0.0031), "3.1 ms"),
         (formats.span(1.25), "1.25 s"),
+        (formats.span(6.3e7), "729 d"),
         (formats.age(0.04), "0.0s"),
         (formats.age(31), "31s"),
         (formats.age(720), "12m"),

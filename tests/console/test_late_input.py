@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from tests.console.driving import choose, engine_of, notified, on_main, put, scripted_app, shown, until
 from tests.console.scripted import LINK, route
+from tests.support.waiting import eventually
 from textual import events
 
 from rsb_bridge.model.commands import Effect
@@ -34,6 +35,8 @@ from rsb_console.terminal.pulse import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from textual.geometry import Region
     from textual.message import Message
     from textual.pilot import Pilot
@@ -660,3 +663,59 @@ async def test_a_late_key_pauses_at_once(app: ConsoleApp, pilot: Pilot[None]) ->
     with_terminal(app, young=False)
     await pilot.press("p")
     await until(pilot, lambda: engine_of(app).commands == [("pause", "/cmd_vel", True)], "paused")
+
+
+def _keys(messages: Iterable[Message]) -> list[str]:
+    return [each.key for each in messages if isinstance(each, events.Key)]
+
+
+def _escape_that_counts(parser: KeyParser) -> None:
+    """An Escape whose sequence does not come in time: Textual takes it for a key."""
+    assert _keys(parser.feed("\x1b")) == []
+    eventually(lambda: _keys(parser.tick()) == ["escape"])
+
+
+@pytest.mark.parametrize("rest", ["[A", "[D", "OA", "[1;5D", "[15~", "[<0;12;30M"])
+def test_rest_of_a_torn_sequence_is_no_key(rest: str) -> None:
+    """Its letter would arm, disarm or open the drive screen. What comes behind the answer was typed after it."""
+    clock = Time()
+    pulse = Pulse({}, clock)
+    pulse.answered(*place_in(pulse.question()))
+    clock.now = time.monotonic()
+    before = place_in(pulse.question())
+    parser = KeyParser(pulse)
+    _escape_that_counts(parser)
+    pulse.answered(*before)  # of a question before the Escape, which proves nothing
+    assert _keys(parser.feed(rest[:1])) == []
+    assert _keys(parser.feed(rest[1:])) == []
+    assert _keys(parser.feed("a")) == ["a"]
+    _escape_that_counts(parser)
+    clock.now = time.monotonic()
+    pulse.answered(*place_in(pulse.question()))
+    assert _keys(parser.feed("OA")) == ["O", "A"]
+
+
+def test_sequence_torn_behind_its_bracket_is_no_key() -> None:
+    clock = Time()
+    clock.now = time.monotonic()
+    pulse = Pulse({}, clock)
+    pulse.answered(*place_in(pulse.question()))
+    parser = KeyParser(pulse)
+    assert _keys(parser.feed("\x1bO")) == []
+    eventually(lambda: _keys(parser.tick()))
+    assert _keys(parser.feed("D")) == []
+    assert _keys(parser.feed("D")) == ["D"]
+    assert _keys(parser.feed("\x1bOP\x1b[D")) == ["f1", "left"]
+
+
+@pytest.mark.parametrize("environ", [{"TMUX": "a"}, {}], ids=["multiplexer", "not asked"])
+def test_rest_of_a_torn_sequence_without_proof(environ: dict[str, str]) -> None:
+    """The answers prove nothing, or there are none: time has to pass."""
+    clock = Time()
+    clock.now = time.monotonic()
+    parser = KeyParser(Pulse(environ, clock))
+    _escape_that_counts(parser)
+    assert _keys(parser.feed("[D")) == []
+    _escape_that_counts(parser)
+    clock.now = time.monotonic() + FRESH_FOR + 0.1
+    assert _keys(parser.feed("[D")) == ["left_square_bracket", "D"]

@@ -9,6 +9,7 @@ import re
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -60,6 +61,7 @@ class Answering(Terminal):
 
     kind = KITTY
     _answered = 0
+    _peace = 1.0  # s
 
     def take_over(self, kind: Kind) -> int:
         """Be another one, as dtach shows it; return how much was written before."""
@@ -79,12 +81,18 @@ class Answering(Terminal):
         self._answered += max(end, begun.start() if begun else len(new))
 
     def frame(self) -> str:
-        """Have all of the screen drawn, and return what was written for it."""
+        """Have all of the screen drawn, and return what was written for it.
+
+        Ctrl-L makes it another terminal, which has to answer in peace: each time it gets longer for that.
+        """
+        deadline, self._peace = time.monotonic() + self._peace, 1.5 * self._peace
+        while time.monotonic() < deadline:
+            self.read(0.05)
         start = len(self.output)
         self.type("\x0c")
         self.wait_for(LANDMARK, after=start)
         self.wait_for("quit", after=start)
-        return self.output[start:].decode()
+        return self.output[start:].decode(errors="ignore")  # it may end within a character
 
 
 @pytest.fixture

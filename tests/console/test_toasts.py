@@ -1,16 +1,23 @@
-"""Toasts cover neither a form nor the log."""
+"""Toasts cover neither a form nor a question nor the log."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import pytest
 from tests.console.driving import on_main, until
 from tests.support.long import long
 from textual.widgets._toast import Toast
 
+from rsb_bridge.model.commands import Effect
+from rsb_console.screens.dialog import ConfirmScreen
+from rsb_console.screens.save_screens import ChangedScreen
 from rsb_console.screens.topic_form import TopicScreen
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from textual.geometry import Region
     from textual.pilot import Pilot
     from textual.screen import Screen
@@ -38,5 +45,24 @@ async def test_on_the_main_screen_and_on_a_form(app: ConsoleApp, pilot: Pilot[No
     await pilot.pause()
     region = await toast_on(pilot, app.screen)
     (dialog,) = app.screen.query(".dialog")
+    assert dialog.region.bottom <= app.size.height
+    assert not region.overlaps(dialog.region)
+
+
+QUESTIONS: dict[str, Callable[[], Screen[Any]]] = {
+    "short": lambda: ConfirmScreen("Remove /scan?", "It is removed on both sides.", "Remove", Effect.LOSES),
+    "long": lambda: ConfirmScreen("Remove /scan?", "It is removed.\n" * 80, "Remove", Effect.LOSES),
+    "changed": lambda: ChangedScreen(Path("robot1.yaml")),
+}
+
+
+@pytest.mark.parametrize("question", QUESTIONS)
+@on_main(*SIZES)
+async def test_on_a_question(app: ConsoleApp, pilot: Pilot[None], question: str) -> None:
+    screen = QUESTIONS[question]()
+    app.push_screen(screen)
+    await until(pilot, lambda: screen.is_active and bool(screen.query(".dialog")), "the question")
+    region = await toast_on(pilot, screen)
+    (dialog,) = screen.query(".dialog")
     assert dialog.region.bottom <= app.size.height
     assert not region.overlaps(dialog.region)

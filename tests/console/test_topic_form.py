@@ -65,8 +65,8 @@ def test_form_offers_transports_that_rules_allow(link: str, kind: Kind) -> None:
     ("word", "on"), [("true", True), ("yes", True), ("false", False), ("No", False), ("off", False)]
 )
 def test_switch_is_off_where_word_says_so(word: str, on: bool) -> None:
-    topic = topic_of({"topic": "/cmd_vel", "direction": "receive", "arm": word, "paused": word})
-    assert (topic.arm, topic.paused) == (on, on)
+    topic = topic_of({"topic": "/cmd_vel", "direction": "receive", "arm": word, "paused": word, "lazy": word})
+    assert (topic.arm, topic.paused, topic.lazy) == (on, on, on)
 
 
 @on_main(*long((120, 36)), NARROW)
@@ -283,6 +283,7 @@ async def test_a_restart_asks_then_shows_its_steps(app: ConsoleApp, pilot: Pilot
         Topic("/scan", "transmit", qos=20, max_rate=0.25),
         Topic("/scan", "transmit", qos={"profile": "sensor_data", "depth": 20, "deadline": 0.5}),
         Topic("/cmd_vel", "receive", stale_after=3.0, arm=True, deadman=20.0),
+        Topic("/image", "transmit", lazy=False, renew=True, beat="front"),
     ],
 )
 def test_a_topic_survives_the_form(topic: Topic) -> None:
@@ -321,6 +322,25 @@ def test_bridged_topics_are_not_offered_again() -> None:
     assert [(suggestion.value, suggestion.fills["direction"]) for suggestion in back] == [("/b", "receive")], (
         "another's publisher"
     )
+
+
+@pytest.mark.parametrize("width", [73, 78, 93])
+def test_types_get_the_room_that_names_leave(width: int) -> None:
+    battery = TopicInfo("/battery_state", "sensor_msgs/msg/BatteryState", "", Qos(), 1, 0)
+    (suggestion,) = suggestions_for(Ends(False, "robot1", False), [], [battery], [])
+    line = "".join(piece for piece, _ in suggestion.line(width))
+    assert line.endswith("  sensor_msgs/BatteryState")
+    assert len(line) <= width
+
+
+def test_a_type_that_is_cut_shows_that() -> None:
+    pose = TopicInfo("/initial_pose_of_robot", "geometry_msgs/msg/PoseWithCovarianceStamped", "", Qos(), 1, 0)
+    (suggestion,) = suggestions_for(Ends(False, "robot1", False), [], [pose], [])
+    line = "".join(piece for piece, _ in suggestion.line(73))
+    assert len(line) <= 73
+    assert "geometry_msgs" in line
+    assert "…" in line
+    assert line.endswith("Stamped")
 
 
 @pytest.mark.parametrize("width", [73, 93])

@@ -7,6 +7,7 @@ import contextlib
 import gc
 import socket
 import threading
+import time
 from concurrent.futures import Future
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -32,6 +33,8 @@ from rsb_bridge.model.snapshot import Event, Level, State
 
 if TYPE_CHECKING:
     from tests.support.control import Machine
+
+_TWO_YEARS = 2 * 365 * 86400
 
 
 def test_it_sees_what_the_engine_sees(machine: Machine) -> None:
@@ -525,3 +528,14 @@ def test_console_sees_the_present_state_after_a_pause(machine: Machine, monkeypa
     for later in (60.0, 120.0):
         engine.now = replace(engine.now, time=engine.now.time + later)
         assert remote.snapshot().time == engine.now.time
+
+
+def test_start_follows_a_clock_that_is_set(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A robot boots without the date, and gets it from the network later."""
+    wall = time.time_ns
+    with monkeypatch.context() as patch:
+        patch.setattr(time, "time_ns", lambda: wall() - _TWO_YEARS * 10**9)
+        patch.setattr(time, "time", lambda: time.time_ns() / 1e9)
+        machine.serve()
+        before = machine.attach().bridge.started
+    assert machine.attach().bridge.started == pytest.approx(before + _TWO_YEARS, abs=60.0)

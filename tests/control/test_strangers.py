@@ -62,6 +62,7 @@ CHANGES: tuple[AnyCommand, ...] = (
     commands.ChangeClient(Client("robot2")),
     commands.RemoveClient("robot2"),
     commands.Call("key", "{}"),
+    commands.CallWhole("key", "{}"),
     commands.Retry(),
     commands.ShutDownLinks(),
     commands.Restart(),

@@ -25,7 +25,7 @@ from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.native.typesupport import installed_class
 from rsb_bridge.ros.ros_interface import TopicSpec
-from rsb_bridge.route.topic_verdict import USE_TCP
+from rsb_bridge.route.sending import USE_TCP
 from rsb_bridge.wire.sealing import CipherSuite
 
 INSTALLED: dict[str, Any] = {name: found for name in SHORT_NAMES.values() if (found := installed_class(name))}

@@ -291,6 +291,20 @@ def test_newest_message_known_there_is_fine_after_reconnect(
     assert [len(each.payloads) for each in heard[:2]] == [expected] * 2
 
 
+def test_node_that_has_ended_is_heard_by_no_late_joiner(
+    bridge: Bridge, robot: Domain, pc: Domain, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The side that sees it end says so: nobody has to wait for what an unknown publisher may still be."""
+    constants.LATCHED_GONE_AFTER.set(monkeypatch, 3600.0)
+    ends, stays = (robot.publisher("/e_stop", qos=latched(1)) for _ in range(2))
+    kept = publish(ends, "released", range(1)) + publish(stays, "pressed", range(1))
+    bridge.both(Topic("/e_stop", "transmit"))
+    same_on_both_sides(robot, pc, "/e_stop", kept)
+    robot.node.destroy_publisher(ends)
+    eventually(lambda: len(pc.node.get_publishers_info_by_topic("/e_stop")) == 1)
+    same_on_both_sides(robot, pc, "/e_stop", kept[1:])
+
+
 def test_a_publisher_that_is_gone_leaves_no_history(
     bridge: Bridge, robot: Domain, pc: Domain, monkeypatch: pytest.MonkeyPatch
 ) -> None:

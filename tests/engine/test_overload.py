@@ -20,7 +20,7 @@ from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.receiver import Receiver
 from rsb_bridge.route.sender import Sender
-from rsb_bridge.route.topic_verdict import USE_TCP
+from rsb_bridge.route.sending import USE_TCP
 
 if TYPE_CHECKING:
     from collections.abc import Callable

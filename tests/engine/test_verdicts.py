@@ -19,7 +19,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
-from rsb_bridge.route.topic_verdict import USE_TCP
+from rsb_bridge.route.sending import USE_TCP
 
 if TYPE_CHECKING:
     from tests.support.bridge import Bridge

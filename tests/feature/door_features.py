@@ -29,6 +29,7 @@ TAKEN = (
     ("commands", "add"),
     ("messages", "ping"),
     ("columns", "AGE"),
+    ("link_facts", "peer"),
     ("console_settings", "theme"),
     ("transport_traits", "tcp"),
     ("actions", "help"),
@@ -94,6 +95,11 @@ class Greedy(Feature):
         from rsb_console.notation.topic_column import TopicColumn
 
         return (TopicColumn("AGE", "nothing", 5, str),)
+
+    def link_facts(self) -> Iterable[Any]:
+        from rsb_console.notation.link_fact import LinkFact
+
+        return (LinkFact("peer", lambda _: ("nothing",)),)
 
     def checks(self) -> Iterable[Any]:
         from rsb_bridge.model.finding import Check

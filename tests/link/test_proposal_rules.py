@@ -101,7 +101,10 @@ changes: st.SearchStrategy[dict[str, Any]] = st.lists(
             ("qos", st.none() | FIELDS["qos"]),
             ("compression", st.sampled_from(["none", "zstd"])),
             *((name, FIELDS[name]) for name in ("max_rate", "expected_rate", "stale_after", "late_after", "max_age")),
-            *((name, FIELDS[name]) for name in ("arm", "deadman", "on_end", "limits", "keep", "timeout", "kind")),
+            *(
+                (name, FIELDS[name])
+                for name in ("arm", "deadman", "on_end", "limits", "keep", "lazy", "renew", "beat", "timeout", "kind")
+            ),
             ("priority", st.sampled_from([-1, 0, 1, 2])),
         ]
     ).flatmap(lambda field: st.tuples(st.just(field[0]), field[1])),
@@ -139,6 +142,8 @@ VALUES: dict[str, Any] = {
     "priority": "high",
     "on_end": "none",
     "limits": VelocityLimits(0.5),
+    "lazy": False,
+    "beat": "front",
 }
 """What is neither a number nor a switch."""
 
@@ -155,7 +160,7 @@ def test_peer_is_told_each_key_that_proposal_has(key: str) -> None:
 @pytest.mark.parametrize("key", sorted(name for name, key in TOPIC_KEYS.items() if key.live))
 def test_live_key_changes_while_route_is_open(key: str) -> None:
     before = Topic("/a", "transmit")
-    after = msgspec.structs.replace(before, **{key: VALUES.get(key, 7)})
+    after = msgspec.structs.replace(before, **{key: VALUES.get(key, True if TOPIC_KEYS[key].value == "switch" else 7)})
     assert same_route(proposed(before), proposed(after))
     change = decode(encode(amendment(proposed(after), 1)))
     assert amended(proposed(before), cast("Amend", change)) == proposed(after)

@@ -25,7 +25,7 @@ from rsb_bridge.model.demands import sources_of_entries
 from rsb_bridge.model.purposes import purposes
 from rsb_bridge.model.reason import EndCode, Reason
 from rsb_bridge.model.session import Topic
-from rsb_bridge.route.entry import Entry
+from rsb_bridge.route.route import Entry
 from rsb_bridge.wire.messages import Close
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from tests.support.waiting import eventually
 
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.verdict import Cause, LinkCause
-from rsb_bridge.route.topic_verdict import USE_TCP
+from rsb_bridge.route.sending import USE_TCP
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

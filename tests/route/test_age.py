@@ -12,6 +12,7 @@ from tests.support.offline import FakePeer
 from tests.support.virtual_time import set_clock
 
 from rsb_bridge.model.motion import LATEST
+from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.ros_interface import RawMessage, Request
 from rsb_bridge.route.age import MessageAge
@@ -193,6 +194,29 @@ def test_lagging_clock_is_known_after_own_was_set(world: World) -> None:
     reopen(world)
     assert passes()
     assert passes()
+
+
+@pytest.mark.parametrize("world", [{"max_age": 0.5, "expected_rate": 20.0}], indirect=True)
+def test_publisher_has_not_stopped_while_clock_is_unsure(world: World) -> None:
+    """It publishes all the time; its messages are dropped for 10 s, as nobody knows how old they are."""
+
+    def publish(seconds: int) -> set[tuple[State, str]]:
+        shown = set()
+        for _ in range(seconds):
+            for _ in range(20):
+                now = world.context.wall_ns()
+                world.path.offer([RawMessage(b"x", now, FIRST, source=now)])
+                world.wait(0.05)
+            world.sender.route.tick()
+            verdict = world.sender.route.verdict()
+            shown.add((verdict.state, verdict.cause))
+        return shown
+
+    publish(20)
+    set_clock(world.context.clock, 3600.0)
+    shown = publish(9)
+    assert (State.LATE, Cause.CLOCK_UNKNOWN) in shown
+    assert {State.STOPPED, State.STALE}.isdisjoint(state for state, _ in shown)
 
 
 def test_request_before_setting_clock_tells_nothing(make_context: Callable[..., Context], loop: VirtualLoop) -> None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING, TypeVar
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, TypeVar, cast
 
 import pytest
 from tests.route.test_loop_filter import FIRST, SECOND, World, world
@@ -52,6 +53,7 @@ from rsb_bridge.route.ledger import RouteLedger
 from rsb_bridge.route.peer import CallBudget
 from rsb_bridge.route.rate_limit import AllowedRates
 from rsb_bridge.route.sending import Outbox
+from rsb_bridge.route.topic_flow import SilenceWatch
 from rsb_bridge.wire.framing import LEASED
 from rsb_bridge.wire.headers import CallFrame, HistoryHeader, What, frame_size, with_number
 
@@ -61,8 +63,9 @@ if TYPE_CHECKING:
     from tests.support.virtual_time import VirtualLoop
 
     from rsb_bridge.context import Context
-    from rsb_bridge.route.gates import Gate, Gated
+    from rsb_bridge.route.gates import Gate, Gated, Sieve
     from rsb_bridge.route.route import Route
+    from rsb_bridge.route.topic_flow import TopicFlow
     from rsb_bridge.wire.framing import Message
 
 __all__ = ["world"]
@@ -171,12 +174,8 @@ def test_what_passes_budget_has_its_place_in_it() -> None:
     assert budget_gate(full)(Request(b"", b"", 0), 0.0) is Refused.TOO_FAST
 
 
-class _CarriesFive:
-    largest = 5
-
-
 def test_the_size_gate_passes_what_the_transport_carries() -> None:
-    gate = size_gate(_CarriesFive())
+    gate = size_gate(5)
     assert gate(Request(b"12345", b"", 0), 0.0) is None
     assert gate(Request(b"123456", b"", 0), 0.0) is Refused.TOO_LARGE
 
@@ -226,11 +225,16 @@ def sample_of(stamp: int, gid: bytes = FIRST, *, replayed: bool = False) -> Samp
     return Sample(HistoryHeader(bytes(8), 1, 1), RawMessage(b"kept", stamp, gid), replayed)
 
 
+def fresh_of(age: MessageAge, context: Context, ledger: RouteLedger) -> Sieve[RawMessage]:
+    route, silence = SimpleNamespace(age=age, context=context), SilenceWatch(lambda *_: None, 0.0)
+    return fresh_sieve(cast("TopicFlow", SimpleNamespace(route=route, silence=silence)), ledger)
+
+
 def test_the_fresh_sieve_asks_the_publishers_stamps(make_context: Callable[..., Context]) -> None:
     context, ledger = make_context(), RouteLedger()
     age, now = aged_half_a_second(context), context.stamps.now()
     old, young = RawMessage(b"old", now - A_SECOND), RawMessage(b"young", now)
-    sieve = fresh_sieve(age, ledger)
+    sieve = fresh_of(age, context, ledger)
     assert sieve([old, young]) == [young]
     assert (ledger.offered, ledger.expired, age.total) == (1, 1, 1)
 
@@ -247,7 +251,7 @@ def test_unsure_clock_lets_nothing_limited_pass(
     for second in range(3):
         age.update(second, float(second))
         stamped = age.stamped([RawMessage(b"young", context.wall_ns())] * 10)
-        assert len(fresh_sieve(age, ledger)(stamped)) == 10 * passed
+        assert len(fresh_of(age, context, ledger)(stamped)) == 10 * passed
     assert (ledger.offered, ledger.expired) == (30 - 30 * passed, 30 - 30 * passed)
     age.update(3, 3.0)
     late = age.late()
@@ -330,16 +334,16 @@ def test_calls_pass_them_from_callers_to_the_channel(make_context: Callable[...,
     """A call that stops or watches a robot always passes."""
     half = calls(make_context(), Caller)
     fast, slow = CallRateGate(0.0, 0.0), CallRateGate(10.0, 0.0)
-    assert order(calling_gates(half.route, _CarriesFive(), fast, limited=True).arriving) == [
+    assert order(calling_gates(half.route, 5, fast, limited=True).arriving) == [
         pause_gate,
         size_gate,
         budget_gate,
     ]
     everything_on(half.route)
-    arriving, leaving = map(order, calling_gates(half.route, _CarriesFive(), slow, limited=True))
+    arriving, leaving = map(order, calling_gates(half.route, 5, slow, limited=True))
     assert arriving == [pause_gate, armed_gate, young_gate, size_gate, CallRateGate, budget_gate]
     assert leaving == [young_gate]
-    arriving, leaving = map(order, calling_gates(half.route, _CarriesFive(), slow, limited=False))
+    arriving, leaving = map(order, calling_gates(half.route, 5, slow, limited=False))
     assert (arriving, leaving) == ([size_gate, budget_gate], [])
 
 

@@ -18,6 +18,7 @@ from tests.support.virtual_time import VirtualClock, VirtualLoop, virtual_loop
 from rsb_bridge.context import Context
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Session
+from rsb_bridge.ros.discovery import Discovery
 from rsb_bridge.ros.ros_interface import RawMessage, TopicSpec
 from rsb_bridge.ros.ros_thread import RosToLoopQueue
 from rsb_bridge.route.latched import PUBLISHER_COST, LatchedFullError, LatchedTopic
@@ -54,6 +55,7 @@ class NearDds:
 
     node_name = "_rsb_robot1_0123abcd"
     shortfalls: tuple[str, ...] = ()
+    discovery = Discovery({})
 
     def __init__(self, loop: VirtualLoop, random: Random, lifespan: float) -> None:
         self.loop = loop
@@ -233,6 +235,7 @@ class Route:
             peer=FakePeer(),
             meter=self.meter,
             arming=SimpleNamespace(required=False),
+            proposal=SimpleNamespace(qos=None),
             log=lambda *_: pytest.fail("the subscription did not fail"),
         )
         loop_filter: Any = SimpleNamespace(alive_left_out=lambda qos: 0)
@@ -242,7 +245,7 @@ class Route:
         qos = msgspec.structs.replace(LATCHED, lifespan=self.near.lifespan)
         subject = TopicSpec("/latched", "std_msgs/msg/String", "", qos)
         self.topic.opened()
-        self.subscription.begin(subject, automatic=True, expected_rate=None, known=self.topic.newest())
+        self.subscription.begin(subject, known=self.topic.newest())
         self.subscription.subscribe(missed=False)
 
     def offer(self, batch: Sequence[RawMessage]) -> None:
@@ -278,12 +281,12 @@ class Route:
 
     def tell(self) -> None:
         assert self.subscription.histories is not None
+        present = self.subscription.histories.forget_gone(set(self.near.writers))
         depths = self.subscription.histories.depths()
-        self.topic.present({gid: depths.get(gid, 0) for gid in self.near.writers})
+        self.topic.present({gid: depths.get(gid, 0) for gid in present})
 
     def second(self) -> None:
         assert self.subscription.histories is not None
-        self.subscription.histories.forget_gone(set(self.near.writers))
         self.subscription.tick()
         self.tell()
         self.topic.tick()
@@ -426,6 +429,40 @@ def test_a_cut_finds_no_depth_again() -> None:
         assert world.near.subscribed == subscribed + 3
         assert world.far.made <= made + 1
         assert world.far.late_joiner() == world.near_late_joiner()
+
+
+def test_late_joiner_hears_no_publisher_that_has_ended() -> None:
+    """An e-stop that a node released before it ended: the next one has pressed it, and nobody may hear otherwise."""
+    with virtual_loop() as loop:
+        world = World(loop, 1)
+        ends, presses = world.near.new_writer(1), world.near.new_writer(1)
+        for writer in (ends, presses):
+            world.near.publish(writer)
+            world.wait(2.0)
+        del world.near.writers[ends.gid]
+        world.wait(3.0)
+        assert world.far.late_joiner() == [b"writer 1 1"]
+
+
+def test_new_sender_may_not_know_its_publishers_yet() -> None:
+    with virtual_loop() as loop:
+        far = FarDds(loop)
+        topic = LatchedTopic(loop, far.advertise, Budget(1 << 30), 1)
+        publisher = publisher_id(b"writer")
+        topic.present({publisher: 1})
+        assert topic.publish(HistoryHeader(publisher, 1, 1), b"1")
+        topic.opened()
+        topic.present({})
+        loop.run_until_complete(asyncio.sleep(5.0))
+        topic.tick()
+        assert far.late_joiner() == [b"1"]
+        topic.present({publisher: 1})
+        topic.present({})
+        topic.tick()
+        loop.run_until_complete(asyncio.sleep(1.0))
+        topic.tick()
+        assert far.late_joiner() == []
+        topic.close()
 
 
 def test_stopped_subscriber_delays_others_ten_seconds_only() -> None:

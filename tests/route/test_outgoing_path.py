@@ -18,8 +18,7 @@ from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.lease import LeaseHalf
 from rsb_bridge.route.ledger import REPLACED
 from rsb_bridge.route.route import Route
-from rsb_bridge.route.sending import remedy_for_size
-from rsb_bridge.route.topic_verdict import USE_TCP
+from rsb_bridge.route.sending import USE_TCP, remedy_for_size
 from rsb_bridge.transport.registry import default_transports
 from rsb_bridge.wire.framing import CONTENT_LIMIT
 from rsb_bridge.wire.messages import Propose

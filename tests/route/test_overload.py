@@ -46,7 +46,8 @@ def outbox(qos: Qos | None = None, *, own: Qos | None = None) -> Outbox:
     )
     route.route = route
     route.carried = Carried[SendingChannel]()
-    return Outbox(route, AgreedEnd(route), RouteLedger(), Backlog())
+    route.end = AgreedEnd(route)
+    return Outbox(route, RouteLedger(), Backlog())
 
 
 class FullChannel(Channel):

@@ -91,7 +91,7 @@ class Side(SimpleNamespace):
         ros = SimpleNamespace(publishers=lambda _: self.published, installed_hash=lambda _: None)
         super().__init__(
             published=[*publishers],
-            context=SimpleNamespace(domain_id=3, similar_topics=SimpleNamespace(of=lambda *_: meant), ros=ros),
+            context=SimpleNamespace(domain="3", similar_topics=SimpleNamespace(of=lambda *_: meant), ros=ros),
             proposal=Propose(route=1, topic="/robot1/scan", remote_topic="/robot1/scan", from_client=True),
             peer=SimpleNamespace(is_client=False, name="robot1"),
             spec=Topic("/robot1/scan", lists),

@@ -27,8 +27,7 @@ from rsb_bridge.model.verdict import Cause, LinkCause
 from rsb_bridge.ros.publication_numbers import PublicationNumbers
 from rsb_bridge.route.receiver import Receiver
 from rsb_bridge.route.sender import Sender
-from rsb_bridge.route.sender_facts import SenderFacts
-from rsb_bridge.route.topic_flow import AgreedEnd
+from rsb_bridge.route.topic_facts import SenderFacts
 from rsb_bridge.wire.records import ReceivedReport, SentReport, VerdictRecord
 
 if TYPE_CHECKING:
@@ -57,10 +56,7 @@ class Sending(Sender):
     def __init__(self, *args: Any, **fields: Any) -> None:
         super().__init__(*args, **fields)
         self.subscription = _SUBSCRIPTION
-        self.facts = SenderFacts(
-            self.flow, AgreedEnd(self.route), self.counts, self.loop_filter, self.backlog, self.path,
-            _SUBSCRIPTION, self.resolver, self.health,
-        )  # fmt: skip
+        self.facts = SenderFacts(self.flow, self.path, _SUBSCRIPTION, self.resolver, self.health)
 
     def proceed(self) -> None:
         pass

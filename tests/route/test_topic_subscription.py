@@ -78,7 +78,8 @@ class Owner:
         self.events: list[EventCode] = []
         self.peer = FakePeer()
         self.arming = SimpleNamespace(required=False)
-        self.proposal = SimpleNamespace(keep=None)
+        self.proposal = SimpleNamespace(keep=None, qos=None)
+        self.spec = SimpleNamespace(expected_rate=None)
         self.notices = SimpleNamespace(record=lambda text: None)
         self.context: Any = None
         self.ends: Any = None
@@ -91,10 +92,11 @@ def make_subscription(
     context: Context, owner: Owner, qos: Qos, *, automatic: bool, expected_rate: float | None = None
 ) -> TopicSubscription:
     owner.context, owner.ends = context, context.ros
+    owner.proposal.qos, owner.spec.expected_rate = None if automatic else qos, expected_rate
     loop_filter: Any = SimpleNamespace(alive_left_out=lambda qos: 0)
     subscription = TopicSubscription(cast("Any", owner), cast("OutgoingPath", Path()), loop_filter, lambda: None)
     spec = TopicSpec("/fast", "std_msgs/msg/String", "", qos)
-    subscription.begin(spec, automatic=automatic, expected_rate=expected_rate, known={})
+    subscription.begin(spec, known={})
     subscription.subscribe(missed=False)
     return subscription
 

@@ -26,13 +26,10 @@ from rsb_bridge.route.combined_verdict import CombinedVerdict, lasting, record_o
 from rsb_bridge.route.crossing import Crossing
 from rsb_bridge.route.lateness import QUEUE, WAY, Late, late_verdict
 from rsb_bridge.route.lease import Standstill
-from rsb_bridge.route.topic_verdict import (
-    PUBLISHED_NOTHING,
-    STOPPED_PUBLISHING,
-    USE_TCP,
-    Elsewhere,
-    audience,
-)
+from rsb_bridge.route.listeners import audience
+from rsb_bridge.route.resolving import Elsewhere
+from rsb_bridge.route.sending import USE_TCP
+from rsb_bridge.route.topic_verdict import PUBLISHED_NOTHING, STOPPED_PUBLISHING
 from rsb_bridge.telemetry.watches import Loss
 from rsb_bridge.wire.records import DeafRecord, ReceivedReport, VerdictRecord
 from rsb_console.notation import formats
@@ -51,11 +48,11 @@ def endpoint(node: str, qos: Qos = RELIABLE, type_name: str = STRING, type_hash:
 
 TALKER = endpoint("/talker")
 SENDER: dict[str, Any] = {
-    "sends": True, "topic": "/chat", "domain_id": 2, "accepted": True, "crossing": Crossing.YES, "came": True,
+    "sends": True, "topic": "/chat", "domain": "2", "accepted": True, "crossing": Crossing.YES, "came": True,
     "endpoints": [TALKER], "described": True, "type_name": STRING, "qos": RELIABLE,
 }  # fmt: skip
 RECEIVER: dict[str, Any] = SENDER | {
-    "sends": False, "topic": "/robot1/chat", "domain_id": 3, "endpoints": [endpoint("/rviz")],
+    "sends": False, "topic": "/robot1/chat", "domain": "3", "endpoints": [endpoint("/rviz")],
 }  # fmt: skip
 
 
@@ -154,7 +151,7 @@ def test_a_route_that_flows_is_fine() -> None:
         (SENDER, {"loss": LOST, "full": FULL}, State.SLOW, Cause.LOSSY, [FULL.share]),
         (SENDER, {"loss": LOST, "loss_of_full_link": True}, State.SLOW, Cause.LOSSY, []),
         (SENDER, {"loss": LOST, "loss_unexplained": True}, State.SLOW, Cause.LOSSY, []),
-        (SENDER, {"loss": Loss(9, 10, "too large", 0.0), "remedy_for_size": "X"}, State.SLOW, Cause.TOO_LARGE, ["X"]),
+        (SENDER, {"loss": Loss(9, 10, "too large", 0.0)}, State.SLOW, Cause.TOO_LARGE, ["compression: zstd"]),
         (SENDER, {"sent": 0, "undelivered": "70 MB"}, State.DOWN, Cause.TOO_LARGE, ["70 MB"]),
         (SENDER, {"sent": 5, "undelivered": "70 MB"}, State.OK, Cause.NONE, []),
         (SENDER, {"sent": 5, "undelivered": "70 MB", "qos": LATCHED, "endpoints": [endpoint("/talker", LATCHED)]},
@@ -440,7 +437,16 @@ def test_words_of_newer_peer_stand_as_given() -> None:
 
 @pytest.mark.parametrize(
     ("seconds", "words"),
-    [(0.2, "1 s"), (9.9, "9 s"), (10, "10 s"), (39, "30 s"), (61, "1 min"), (3599, "59 min"), (9000, "2 h")],
+    [
+        (0.2, "1 s"),
+        (9.9, "9 s"),
+        (10, "10 s"),
+        (39, "30 s"),
+        (61, "1 min"),
+        (3599, "59 min"),
+        (9000, "2 h"),
+        (6.3e7, "729 d"),
+    ],
 )
 def test_durations_change_seldom(seconds: float, words: str) -> None:
     assert about(seconds) == words

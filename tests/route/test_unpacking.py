@@ -18,10 +18,9 @@ from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.ros.stand_in import NoRos
-from rsb_bridge.route.entry import Entry
 from rsb_bridge.route.message_check import EXPANDED_ASIDE, EXPANSION_A_TURN, EXPANSION_AT_ONCE, PUBLISHED_ASIDE
 from rsb_bridge.route.receiver import Receiver
-from rsb_bridge.route.route import Route
+from rsb_bridge.route.route import Entry, Route
 from rsb_bridge.wire.framing import ZSTD
 from rsb_bridge.wire.messages import Describe, Propose
 from rsb_bridge.wire.records import Source

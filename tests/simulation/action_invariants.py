@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING
 from tests.support.held import held_by
 from tests.support.inside import numbers_of, pending_calls, timer_of, waiting_frames
 
+from rsb_bridge.route.calls.action_goals import CallerGoals, ProviderGoals
 from rsb_bridge.route.calls.caller import Caller
-from rsb_bridge.route.calls.caller_goals import CallerGoals
 from rsb_bridge.route.calls.provider import Provider
-from rsb_bridge.route.calls.provider_goals import ProviderGoals
 
 if TYPE_CHECKING:
     from tests.simulation.action_flow import ActionFlow

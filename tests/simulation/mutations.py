@@ -36,8 +36,8 @@ from rsb_bridge.link.route_ids import RouteIds
 from rsb_bridge.link.route_table import RouteTable
 from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.ros.publication_numbers import PublicationNumbers
+from rsb_bridge.route.calls.action_goals import CallerGoals
 from rsb_bridge.route.calls.asked_calls import AskedCalls
-from rsb_bridge.route.calls.caller_goals import CallerGoals
 from rsb_bridge.route.calls.calls_ledger import CallFailures
 from rsb_bridge.route.calls.pending_calls import PendingCalls
 from rsb_bridge.route.calls.service_offer import ServiceOffer

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from tests.simulation.ros import Domain, Reader, Writer
 from tests.simulation.services import Client, Server
 
+from rsb_bridge.ros.discovery import Discovery
 from rsb_bridge.ros.ros_interface import Endpoint, RosError
 from rsb_bridge.ros.ros_thread import LONGEST_WAIT, RosTurns
 
@@ -25,6 +26,7 @@ class Node:
     def __init__(self, domain: Domain, name: str, instance_id: str) -> None:
         self.instance_id = instance_id
         self.shortfalls: tuple[str, ...] = ()
+        self.discovery = Discovery({})
         self.turns = RosTurns(self._turn_on, domain.loop.time)
         self.writers: dict[Writer, None] = {}
         self.readers: dict[Reader, None] = {}
@@ -145,6 +147,10 @@ class Node:
         if self.on_writer is not None:
             self.on_writer(writer, origin)
         return writer
+
+    def takes(self, topic: str, besides: Hashable) -> bool:
+        own = (self._name, besides)
+        return any(each.node == self._name and each.origin != own for each in self._domain.readers(topic))
 
     def services(self) -> dict[str, list[str]]:
         found = self._domain.services.names()

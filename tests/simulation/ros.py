@@ -252,12 +252,12 @@ class Reader(Taker[RawMessage]):
         self.liveliness = Liveliness(alive=1)
         self.taken = 0
         self.on_take: Callable[[list[RawMessage]], None] | None = None
-        self._origin = (node, origin)
+        self.origin = (node, origin)
         self._depth = _KEEP_ALL if qos.history == "keep_all" else max(1, qos.depth)
         domain.add_reader(self)
 
     def hear(self, writer: Writer, sample: RawMessage) -> None:
-        if writer.origin == self._origin:
+        if writer.origin == self.origin:
             return
         if len(self._pending) >= self._depth:
             self._pending.popleft()

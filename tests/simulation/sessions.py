@@ -95,4 +95,5 @@ def some_topic(robot: str, number: int, random: Random) -> Topic:
         compression=random.choice((None, None, "zstd")),
         max_rate=random.choice((None, None, None, 5.0)),
         paused=random.random() < 0.05,
+        lazy=True if number % 3 == 1 else None,
     )

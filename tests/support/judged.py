@@ -14,6 +14,7 @@ from rsb_bridge.route.blocking_rules import judge, stages_with_link
 from rsb_bridge.route.calls.calls_verdict import OF_CALLS
 from rsb_bridge.route.crossing import Crossing
 from rsb_bridge.route.topic_verdict import OF_RECEIVER, OF_SENDER
+from rsb_bridge.wire.framing import MESSAGE_LIMIT
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -24,7 +25,7 @@ _OF_ROUTE: dict[str, Any] = {
     "sends": True,
     "topic": "/chat",
     "far_topic": "",
-    "domain_id": 0,
+    "domain": "0",
     "link_down": None,
     "accepted": None,
     "refusal": NO_REASON,
@@ -72,7 +73,7 @@ _OF_TOPIC: dict[str, Any] = {
     "left": 0,
     "loss": None,
     "datagrams": 0,
-    "remedy_for_size": "",
+    "compression": "none",
     "armed": False,
     "late": None,
     "expired": None,
@@ -123,15 +124,19 @@ def topic_half(now: float = 0.0, **facts: Any) -> Any:
     half.drivers = SimpleNamespace(
         several=known["drivers"], here=known["drivers"], there=(), are_watched=bool(known["drivers"])
     )
-    half.backlog = SimpleNamespace(exists=known["left"] > 0, left=known["left"])
+    backlog = SimpleNamespace(exists=known["left"] > 0, left=known["left"])
+    half.path = SimpleNamespace(backlog=backlog)
     half.stale_since = lambda crossing: known["stale_since"]
     half.late = lambda: known["late"]
     half.was_full_since = lambda since: known["loss_of_full_link"]
-    for name in ("why_unresolved", "datagrams", "remedy_for_size"):
-        setattr(half, name, _always(known[name]))
+    half.why, half.datagrams = _always(known["why_unresolved"]), _always(known["datagrams"])
+    half.failure, half.is_unmatched = known["subscribe_failed"], known["unmatched"]
+    half.ends = _always((known["publisher_nodes"], None, None))
+    half.proposal = SimpleNamespace(compression=known["compression"])
+    half.resolver = half.subscription = half
     for name in (
-        "endpoints", "type_name", "qos", "unresolved", "elsewhere", "subscribe_failed", "unmatched", "audience",
-        "others", "clocks", "type_before", "publisher_nodes", "malformed", "loss_unexplained",
+        "endpoints", "type_name", "qos", "unresolved", "elsewhere", "unmatched", "audience", "others", "clocks",
+        "type_before", "malformed", "loss_unexplained",
     ):  # fmt: skip
         setattr(half, name, known[name])
     return half
@@ -149,11 +154,13 @@ def calls_half(now: float = 0.0, **facts: Any) -> Any:
     half.failures = SimpleNamespace(since=known["failing_since"])
     half.call_timeout = known["timeout"]
     half.last_malformed = lambda: known["malformed"]
+    known_and_offered = Stage("type known", True), Stage("offered", known["offered"] or None)
     half.end = SimpleNamespace(
         offered=known["offered"],
         warning=known["warning"],
         unavailable=_always(known["unavailable"]),
         nodes=_always(((), known["providers"])),
+        stages=_always((Stage("server seen", True, ", ".join(known["providers"])), *known_and_offered)),
     )
     half.stages = lambda: stages_with_link(half, (), (Stage("offered", None),))
     half.waited = known["waited"]
@@ -174,14 +181,14 @@ def _half(known: dict[str, Any], now: float) -> Any:
         outgoing=known["sends"],
         local_topic=known["topic"],
         far_topic=known["far_topic"],
-        context=SimpleNamespace(domain_id=known["domain_id"], now=_always(now)),
+        context=SimpleNamespace(domain=known["domain"], now=_always(now)),
         peer=SimpleNamespace(
             linked=known["link_down"] is None,
             down_reason=known["link_down"] or "",
             suspended_since=None,
             path=SimpleNamespace(fault=known["path"]),
         ),
-        transport=SimpleNamespace(reliable=True),
+        transport=SimpleNamespace(reliable=True, largest_message=MESSAGE_LIMIT),
         life=SimpleNamespace(
             accepted=bool(known["accepted"]), refusal=refusal if known["accepted"] is False else NO_REASON
         ),

@@ -16,12 +16,11 @@ from rsb_bridge.model.session import Session
 from rsb_bridge.model.transports import NO_PROFILE
 from rsb_bridge.ros.ros_thread import RosToLoopQueue
 from rsb_bridge.ros.stand_in import NoRos
-from rsb_bridge.route.entry import Entry
 from rsb_bridge.route.half import Half
 from rsb_bridge.route.idling import Timetable
 from rsb_bridge.route.lifecycle import Revisions
 from rsb_bridge.route.peer import PeerBudget
-from rsb_bridge.route.route import Route
+from rsb_bridge.route.route import Entry, Route
 from rsb_bridge.telemetry.event_log import EventLog
 from rsb_bridge.telemetry.meters import ClockOffset
 from rsb_bridge.transport.registry import Transports, default_transports

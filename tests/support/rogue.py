@@ -17,7 +17,7 @@ from rsb_bridge.wire.connection import ClientConnection, DataConnection
 from rsb_bridge.wire.datagram import DatagramWriter, Probe
 from rsb_bridge.wire.events import Accepted, Established, MessageReceived, StreamName
 from rsb_bridge.wire.framing import CONTROL_LIMIT, MESSAGE_LIMIT, MORE, DataWriter
-from rsb_bridge.wire.messages import Accept, ControlMessage, Describe, Hello, Propose, Ready, Refuse
+from rsb_bridge.wire.messages import Accept, ControlMessage, ControlMessageBase, Describe, Hello, Propose, Ready, Refuse
 from rsb_bridge.wire.records import Source
 from rsb_bridge.wire.sealing import PROBE_ROUTE, CipherSuite
 
@@ -76,7 +76,7 @@ class Rogue:
             self._events = self._connection.receive_data(data)
             self._control.sendall(self._connection.data_to_send())
 
-    def say(self, *messages: ControlMessage) -> None:
+    def say(self, *messages: ControlMessageBase) -> None:
         """Send control messages, all at once. From any thread."""
         with self._saying:
             for message in messages:

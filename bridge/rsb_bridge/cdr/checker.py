@@ -14,7 +14,15 @@ from enum import IntEnum
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, NoReturn, TypeAlias
 
 from rsb_bridge.cdr.decoder import DEPTH, HEADER_LENGTH
-from rsb_bridge.cdr.description import BOUNDED_STRINGS, KINDS, NESTED, STRINGS, WIDE_CHARACTER, WIDE_STRINGS
+from rsb_bridge.cdr.description import (
+    BOUNDED_STRINGS,
+    KINDS,
+    NESTED,
+    PRIMITIVE_SIZES,
+    STRINGS,
+    WIDE_CHARACTER,
+    WIDE_STRINGS,
+)
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.wording import Wording
 
@@ -30,7 +38,6 @@ Sizes: TypeAlias = tuple[int, ...]
 """Bytes of something, with the padding before it, by where it begins modulo 8."""
 
 _PLAIN, _ARRAY, _BOUNDED, _UNBOUNDED = range(4)
-_SIZES = {2: 1, 3: 1, 4: 2, 5: 2, 6: 4, 7: 4, 8: 8, 9: 8, 10: 4, 11: 8, 13: 1, 15: 1, 16: 1}
 _ANY_LENGTH = 2**32
 """Above each length, which has 32 bits."""
 _LENGTHS_INLINED = 16
@@ -480,8 +487,8 @@ class _Compiler:
         building = _Building()
         if base == NESTED:
             return self.body(kind.nested_type_name, depth - 1)
-        if base in _SIZES:
-            building.fix("", _primitive(_SIZES[base]))
+        if base in PRIMITIVE_SIZES:
+            building.fix("", _primitive(PRIMITIVE_SIZES[base]))
         elif base in STRINGS or base in WIDE_STRINGS:
             unit, zero = (WIDE_CHARACTER, 0) if base in WIDE_STRINGS else (1, 1)
             bound = kind.string_capacity + zero if base in BOUNDED_STRINGS else _ANY_LENGTH

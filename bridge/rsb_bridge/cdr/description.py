@@ -24,6 +24,8 @@ DESCRIPTION_LIMIT = 64 << 10
 KINDS = 48
 """Type ids of each container (type_description_interfaces/msg/FieldType); the following are of the first one."""
 NESTED = 1
+PRIMITIVE_SIZES = {2: 1, 3: 1, 4: 2, 5: 2, 6: 4, 7: 4, 8: 8, 9: 8, 10: 4, 11: 8, 13: 1, 15: 1, 16: 1}
+"""Bytes of a value, by its type id."""
 STRINGS, WIDE_STRINGS, BOUNDED_STRINGS = {17, 19, 21}, {18, 20, 22}, {19, 20, 21, 22}
 WIDE_CHARACTER = 4
 """Bytes: rosidl_typesupport_fastrtps_cpp/serialization_helpers.hpp."""
@@ -112,11 +114,12 @@ def read_description(text: str, type_hash: str) -> TypeDescription:
         raise DescriptionError(sanitize_text(InvalidDescription.INVALID(error=error))) from None
 
 
-_PRIMITIVES = {
+PRIMITIVE_NAMES = {
     2: "int8", 3: "uint8", 4: "int16", 5: "uint16", 6: "int32", 7: "uint32", 8: "int64", 9: "uint64", 10: "float32",
     11: "float64", 12: "long double", 13: "char", 14: "wchar", 15: "bool", 16: "byte", 17: "string", 18: "wstring",
     19: "string", 20: "wstring", 21: "string", 22: "wstring",
 }  # fmt: skip
+"""As message files write them, by type id. Of a string, the first id is that without a bound."""
 _DIFFERENCES_NAMED = 3
 """Differences that a text names; it counts the others."""
 _SHOWN_LENGTH = 60
@@ -194,9 +197,9 @@ def type_text(kind: FieldType, nested: str = "") -> str:
     """
     container, base = divmod(kind.type_id - 1, KINDS)
     base += 1
-    if (base not in _PRIMITIVES and base != NESTED) or container not in range(4):
+    if (base not in PRIMITIVE_NAMES and base != NESTED) or container not in range(4):
         return "unknown"
-    name = (nested or _shown(kind.nested_type_name)) if base == NESTED else _PRIMITIVES[base]
+    name = (nested or _shown(kind.nested_type_name)) if base == NESTED else PRIMITIVE_NAMES[base]
     if kind.string_capacity:
         name += f"<={kind.string_capacity}"
     match container:

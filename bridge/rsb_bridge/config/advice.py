@@ -77,6 +77,8 @@ class Advice(Wording):
     TYPE_NOT_INSTALLED = "{type} is not installed here: check the spelling; the {kind} crosses once there is a {who}"
     DEPTH = "depth {depth}: the receiving side keeps {limit} messages in its publisher"
     KEEP = "{seconds:g} s are kept, and a lost link is given up after {outlive:g} s: set outlive to {seconds:g}"
+    NEVER_RESTS = "it never rests, as it {why}: leave lazy out"
+    BEAT_RATES = "in beat {beat}, {other} has another max_rate, so that they choose apart: give both the same"
     DEPTH_OF_LATCHED = "depth {depth}: the receiving side keeps {limit} messages for late joiners"
 
 
@@ -182,6 +184,21 @@ def _topics(topics: Sequence[Topic], where: str, session: Session) -> Iterator[P
         if topic.kept is not None and topic.kept.seconds > outlive:
             message = Advice.KEEP(seconds=topic.kept.seconds, outlive=outlive)
             yield Problem(join(location, "keep"), message, place=f"{place}, keep")
+        if topic.lazy and (why := _why_never_rests(topic)):
+            yield Problem(join(location, "lazy"), Advice.NEVER_RESTS(why=why), place=f"{place}, lazy")
+        first = next((each for each in topics if topic.beat and each.beat == topic.beat), topic)
+        if first.max_rate != topic.max_rate:
+            message = Advice.BEAT_RATES(beat=topic.beat, other=first.topic)
+            yield Problem(join(location, "max_rate"), message, place=f"{place}, max_rate")
+
+
+def _why_never_rests(topic: Topic) -> str:
+    qos = topic.parsed_qos()
+    if topic.arm:
+        return "has to be armed"
+    if topic.keep is not None:
+        return "keeps its messages"
+    return "is latched" if qos is not None and qos.latched else ""
 
 
 def _denied(

@@ -93,6 +93,13 @@ def write_fields(decoded: Decoded) -> str:
     return text + "".join(f"# {note}\n" for note in writing.notes(decoded.problem))
 
 
+def whole_fields(decoded: Decoded) -> tuple[Any, str]:
+    """Return a message as plain data, with texts of any length, and what of it is omitted or unreadable."""
+    writing = _Writing(room=None)
+    data = writing.plain(decoded.message, "")
+    return data, "; ".join(writing.notes(decoded.problem))
+
+
 def read_written(text: str) -> Any:
     """Read the YAML of `write_fields` as plain data, without its comments.
 
@@ -119,8 +126,8 @@ def _written(node: yaml.Node) -> Any:
 class _Writing:
     """Makes plain data of a message, and notes the parts that it omits."""
 
-    def __init__(self) -> None:
-        self._room = _TEXT_LENGTH
+    def __init__(self, room: int | None = _TEXT_LENGTH) -> None:
+        self._room = room
         self._left_out: list[str] = []
 
     def plain(self, value: Value, location: str) -> Any:
@@ -135,7 +142,8 @@ class _Writing:
             return [self.plain(each, f"{location}[{number}]") for number, each in enumerate(value.shown)]
         if isinstance(value, str):
             kept = value[: self._room]
-            self._room -= len(kept)
+            if self._room is not None:
+                self._room -= len(kept)
             if len(kept) < len(value):
                 self._left_out.append(FieldNote.CHARACTERS(location=location, shown=len(kept), total=len(value)))
             return kept

@@ -41,7 +41,9 @@ KEYS: Final[dict[Kind, dict[str, str]]] = {
         "qos": "qos", "remote_topic": "remote_topic", "compression": "compression", "max_rate": "max_rate",
         "expected_rate": "expected_rate", "stale_after": "stale_after", "late_after": "late_after",
         "max_age": "max_age", "paused": "paused", "arm": "arm", "deadman": "deadman", "on_end": "on_end",
-        "limits": "limits", "priority": "priority", "keep": "keep", "except": "excepts",
+        "limits": "limits", "priority": "priority", "keep": "keep", "lazy": "lazy", "renew": "renew",
+        "beat": "beat",
+        "except": "excepts",
     },
     "service": {
         "service": "topic", "provider": "direction", "type": "type", "timeout": "timeout", "protocol": "protocol",
@@ -79,8 +81,11 @@ _NOT_OF_CALLS = {
     "expected_rate": ForeignKey.EXPECTED_RATE_OF_CALLED(),
     "stale_after": ForeignKey.STALE_AFTER_OF_CALLED(),
     "late_after": ForeignKey.LATE_AFTER_OF_CALLED(),
-    "limits": ForeignKey.LIMITS_OF_CALLED(),
+    "limits": ForeignKey.OF_TOPICS_ONLY(),
     "keep": ForeignKey.KEEP_OF_CALLED(),
+    "beat": ForeignKey.OF_TOPICS_ONLY(),
+    "lazy": ForeignKey.OF_TOPICS_ONLY(),
+    "renew": ForeignKey.OF_TOPICS_ONLY(),
     "priority": ForeignKey.PRIORITY_OF_CALLED(),
 }
 

@@ -35,6 +35,7 @@ from rsb_bridge.model.names import expand_type_name
 from rsb_bridge.model.patterns import is_pattern
 from rsb_bridge.model.qos import AUTO, PROFILES, Qos, parse_qos
 from rsb_bridge.model.session import Kind, Problem, Session, Topic
+from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.topic_keys import TOPIC_KEYS, ForeignKey
 from rsb_bridge.model.wording import Wording
 
@@ -59,11 +60,12 @@ _OF_TOPICS = {
     "limits": None,
     "max_age": None,
     "keep": None,
+    "beat": None,
     "timeout": None,
 }
 """The keys that an internal route does not have, and their defaults."""
 _FOLDERS: dict[Kind, str] = {"service": "srv", "action": "action"}
-_TEXTS = {"topic": "/unnamed", "type": AUTO, "qos": AUTO, "remote_topic": None, "on_end": None}
+_TEXTS = {"topic": "/unnamed", "type": AUTO, "qos": AUTO, "remote_topic": None, "on_end": None, "beat": None}
 """Free texts, and the stand-in that other rules see if one holds a key."""
 _PART = r"[A-Za-z][A-Za-z0-9_]*"
 
@@ -191,6 +193,9 @@ def topic_problems(topic: Topic, session: Session | None, client: str | None) ->
     if topic.kind == "topic":  # else it is a key of another kind
         yield from limits_problems(topic.limits, "topic", topic.type, topic.topic)
         yield from _keep_problems(topic, session)
+        if topic.beat is not None and topic.beat != (sanitize_text(topic.beat, TEXT_LENGTH) or None):
+            message = f"{show(topic.beat)} is no name: write 1 to {TEXT_LENGTH} printable characters, or leave it out"
+            yield Problem("beat", message)
 
 
 def problems_here(topic: Topic, session: Session, *, renamed: bool) -> Iterator[Problem]:
@@ -362,7 +367,7 @@ def limits_problems(limits: VelocityLimits | None, kind: Kind | None, type_name:
     if limits is None:
         return
     if kind not in (None, "topic"):
-        yield Problem("limits", ForeignKey.LIMITS_OF_CALLED())
+        yield Problem("limits", ForeignKey.OF_TOPICS_ONLY())
         return
     if limits == VelocityLimits():
         yield Problem("limits", "has no number: give linear (m/s), angular (rad/s) or both")

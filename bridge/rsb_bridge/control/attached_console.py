@@ -108,8 +108,11 @@ class ConsoleHost(Protocol):
     """
 
     engine: EngineApi
-    info: BridgeInfo
     encoded: EncodedRoutes
+
+    @property
+    def info(self) -> BridgeInfo:
+        """The description of its process."""
 
     def summary(self) -> bytes:
         """Return the engine in a few figures, at most `SUMMARY_EVERY` s old, or empty bytes."""

@@ -11,11 +11,14 @@ import os
 import threading
 from typing import TYPE_CHECKING
 
+import msgspec
+
 from rsb_bridge.control import protocol
 from rsb_bridge.control.attached_console import AttachedConsole
 from rsb_bridge.control.control_sockets import AttachProblem, identify, may_control, peer_of, run_as, user_name
 from rsb_bridge.control.protocol import ControlProtocolError
 from rsb_bridge.control.states import EncodedRoutes
+from rsb_bridge.model.clock import Clock
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -55,7 +58,8 @@ class ControlServer:
         self, engine: EngineApi, listener: ControlSocket, info: BridgeInfo, on_stop: Callable[[], None]
     ) -> None:
         self.engine = engine
-        self.info = info
+        self._clock = Clock()
+        self._info, self._began = info, self._clock.steady()
         self.encoded = EncodedRoutes()
         self.summarize: Callable[[], bytes] | None = None
         self.loop: asyncio.AbstractEventLoop
@@ -85,6 +89,12 @@ class ControlServer:
         self._thread.join(_CLOSED_WITHIN)
 
     # --- on the thread
+
+    @property
+    def info(self) -> BridgeInfo:
+        """The description, with the start by the wall clock as it is set now: many a robot boots without the date."""
+        started = self._clock.time_ns() / 1e9 - (self._clock.steady() - self._began)
+        return msgspec.structs.replace(self._info, started=round(started, 1))
 
     def summary(self) -> bytes:
         """Return the engine in a few figures, made once for all consoles, or empty bytes."""

@@ -45,7 +45,7 @@ from rsb_bridge.ros.ros_interface import RosError, RosProblem, TopicSpec
 from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.calls.manual_call import CallError
 from rsb_bridge.route.peeking import PeekError, Peeking
-from rsb_bridge.tasks import Tasks, in_slices
+from rsb_bridge.tasks import Tasks, in_slices, in_thread
 from rsb_bridge.telemetry.acknowledgements import find_faulty
 from rsb_bridge.transport.transport import ListenError
 
@@ -72,11 +72,15 @@ _LISTENS_EVERY = 10
 a process that was stopped has had no time. A round figure; a whole look, the first one or if a port has changed, takes
 5 to 17 ms."""
 
+_DISCOVERY_ASKED_EVERY, _DISCOVERY_ASKED_WITHIN = 10.0, 60.0
+"""s between two questions to the discovery servers, and for their names to be looked up. Round figures."""
+
 _OF_ONE_ROUTE = (
     commands.AnswerAsker,
     commands.ArmTopic,
     commands.AskHolder,
     commands.Call,
+    commands.CallWhole,
     commands.DisarmTopic,
     commands.PauseTopics,
     commands.TakeArming,
@@ -204,6 +208,8 @@ class Bridge:
         context, graph_watch = self.context, self.graph_watch
         context.ros.watch(graph_watch.changed, lambda reason: context.call(lambda: self._ros_failed(reason)))
         try:
+            if context.ros.discovery.servers:
+                self._tasks.keep(self._ask_discovery_servers, Backoff(_TICK, _LONGEST_PAUSE))
             for work in (self._tick, graph_watch.run, self._names.run, lambda: self._snapshots.run(self.role)):
                 self._tasks.keep(work, Backoff(_TICK, _LONGEST_PAUSE))
             await self._stopping.wait()
@@ -246,6 +252,22 @@ class Bridge:
         for each in feature_faults()[self._faults_told :]:
             self.context.events.add(Level.WARNING, EventCode.ENGINE_FEATURE_LEFT_OUT, str(each))
             self._faults_told += 1
+
+    async def _ask_discovery_servers(self) -> None:
+        """Ask whether they answer, for ever, and have the routes say so that miss a node."""
+        discovery, events = self.context.ros.discovery, self.context.events
+        was_broken: bool | None = None
+        while True:
+            with contextlib.suppress(TimeoutError):  # names are looked up for longer
+                if await in_thread("discovery", discovery.look, _DISCOVERY_ASKED_WITHIN):
+                    for route in (each for link in self.role.links() for each in link.routes.values()):
+                        route.judge_again()
+                    self.graph_watch.changed()  # what provides calls keeps its reason until then
+            if discovery.is_broken is not was_broken:
+                was_broken = discovery.is_broken
+                level = Level.WARNING if was_broken else Level.INFO
+                events.add(level, EventCode.ENGINE_DISCOVERY, discovery.found)
+            await asyncio.sleep(_DISCOVERY_ASKED_EVERY)
 
     @contextlib.contextmanager
     def _part_may_fail(self, part: EnginePart) -> Iterator[None]:

@@ -289,6 +289,8 @@ class Engine(EngineApi):
             raise EngineError(str(error)) from None
         for shortfall in ros.shortfalls:
             self.log.add(Level.INFO, EventCode.ENGINE_ROS_LIMITED, shortfall)
+        for level, text in ros.discovery.notes():
+            self.log.add(level, EventCode.ENGINE_DISCOVERY, text)
         started: Future[None] = Future()
         self._thread = threading.Thread(
             target=self._run_thread, args=(ros, domain, keys, started), name="rsb-io", daemon=True

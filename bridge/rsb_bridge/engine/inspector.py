@@ -13,9 +13,18 @@ from rsb_bridge.link.extension import Denied, LinkError
 from rsb_bridge.link.peer_operators import acting_operator, called
 from rsb_bridge.model.calls import SEND_GOAL
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.commands import Call, DescribeType, Peek, Template
+from rsb_bridge.model.commands import (
+    WHOLE_ANSWER,
+    Call,
+    CallWhole,
+    DescribeType,
+    Peek,
+    Template,
+    WholeAnswer,
+)
 from rsb_bridge.model.limits import REASON_LENGTH
 from rsb_bridge.model.text import sanitize_text
+from rsb_bridge.model.wording import Wording
 from rsb_bridge.route.calls.caller import Caller
 from rsb_bridge.route.calls.manual_call import CallError
 from rsb_bridge.route.calls.provider import Provider
@@ -38,6 +47,14 @@ before it takes the places of the nodes' calls (4,096 a link)."""
 _GOAL_ID_BYTES = 16
 
 
+class CalledProblem(Wording):
+    """The reason why a program does not get an answer that came."""
+
+    TOO_LONG = (
+        "the answer, a {type}, has {size:.1f} MiB, and at most {limit} are given to a program: use a topic for it"
+    )
+
+
 class RouteInspector(EnginePart):
     """Executes commands that look at messages and types, or call by hand."""
 
@@ -47,6 +64,7 @@ class RouteInspector(EnginePart):
         self._calls = 0
         self.handlers = {
             Call: self.call,
+            CallWhole: self.call_whole,
             DescribeType: self.describe,
             Peek: self.peek,
             Template: self.template,
@@ -69,6 +87,20 @@ class RouteInspector(EnginePart):
 
     async def call(self, command: Call) -> str:
         """Call by hand; both sides record the operator."""
+        type_name, goal, response = await self._answer(command)
+        answer = await asyncio.to_thread(lambda: write_fields(self._decoded(type_name, response)))
+        return (f"# goal_id: {goal}\n" if goal else "") + answer
+
+    async def call_whole(self, command: CallWhole) -> WholeAnswer:
+        """Call by hand for a program; the console reads the answer, since that may take seconds."""
+        type_name, goal, response = await self._answer(command)
+        if len(response) > WHOLE_ANSWER:
+            size = len(response) / (1 << 20)
+            raise LinkError(CalledProblem.TOO_LONG(type=type_name, size=size, limit=WHOLE_ANSWER >> 20))
+        return WholeAnswer(response, await asyncio.to_thread(self._description, type_name), goal)
+
+    async def _answer(self, command: Call | CallWhole) -> tuple[str, str, bytes]:
+        """Return the type of an answer, the goal's id that was chosen, and the answer."""
         link, route = self._bridge.find(command.key)
         half = _callable(route)
         if self._calls >= CALLS_AT_ONCE:
@@ -79,9 +111,9 @@ class RouteInspector(EnginePart):
         finally:
             self._calls -= 1
 
-    async def _call(self, link: Link, half: Caller | Provider, lane: int, request: str) -> str:
+    async def _call(self, link: Link, half: Caller | Provider, lane: int, request: str) -> tuple[str, str, bytes]:
         entry = half.entry(lane)
-        payload, note = await asyncio.to_thread(self._serialized, half, lane, entry, request)
+        payload, goal = await asyncio.to_thread(self._serialized, half, lane, entry, request)
         line = sanitize_text(" ".join(request.split()))
         self._record(link, half.route, ByHand(route=half.route.id, lane=lane, request=line, who=acting_operator()))
         began, outcome = self._context.now(), "an error of the bridge"
@@ -99,8 +131,7 @@ class RouteInspector(EnginePart):
             self._record(
                 link, half.route, ByHand(route=half.route.id, lane=lane, who=acting_operator(), outcome=outcome)
             )
-        answer = await asyncio.to_thread(lambda: write_fields(self._decoded(f"{entry.type}_Response", response)))
-        return note + answer
+        return f"{entry.type}_Response", goal, response
 
     def _record(self, link: Link, route: Route, message: ByHand) -> None:
         """Record an operator's call, or its outcome, in the logs of both sides."""
@@ -118,7 +149,7 @@ class RouteInspector(EnginePart):
         )
 
     def _serialized(self, half: Caller | Provider, lane: int, entry: LaneEntry, request: str) -> tuple[bytes, str]:
-        """Return a request as bytes, and a note for its operator. Slow: not for the I/O thread."""
+        """Return a request as bytes, and the id of a goal if it is chosen here. Slow: not for the I/O thread."""
         ros, context = self._context.ros, self._context
         installed = ros.installed_service_hash(entry.type)
         # The node would read the bytes as other fields.
@@ -127,12 +158,11 @@ class RouteInspector(EnginePart):
                 f"{entry.type} is installed here in another version than the node has: install that one, and restart "
                 "this bridge"
             )
-        fields, note = read_fields(request), ""
+        fields, goal = read_fields(request), ""
         # By default, the ids of all goals are zeros, and a server refuses the second goal of an id.
         if _is_goal(half, lane) and isinstance(fields, dict) and "goal_id" not in fields:
             goal = fields["goal_id"] = context.random.randbytes(_GOAL_ID_BYTES).hex()
-            note = f"# goal_id: {goal}\n"
-        return ros.serialize(f"{entry.type}_Request", fields, context.wall_ns()), note
+        return ros.serialize(f"{entry.type}_Request", fields, context.wall_ns()), goal
 
     def _defaults(self, half: Caller | Provider, lane: int, entry: LaneEntry) -> str:
         """Return the defaults of a request as YAML, without the id of a goal. Slow: not for the I/O thread."""
@@ -142,10 +172,14 @@ class RouteInspector(EnginePart):
             decoded.message.pop("goal_id", None)
         return write_fields(decoded)
 
-    def _decoded(self, type_name: str, payload: bytes) -> Decoded:
-        """Decode a message of a type that is installed here. Slow: not for the I/O thread."""
+    def _description(self, type_name: str) -> str:
         text = self._context.ros.installed_description(type_name)
         assert text is not None, "its request was made here"
+        return text
+
+    def _decoded(self, type_name: str, payload: bytes) -> Decoded:
+        """Decode a message of a type that is installed here. Slow: not for the I/O thread."""
+        text = self._description(type_name)
         return decode(read_description(text, hash_of_text(text)), payload, items=ITEMS, steps=STEPS)
 
 

@@ -30,6 +30,7 @@ from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.verdict import LinkCause
+from rsb_bridge.transport.network_news import NameText, has_network
 from rsb_bridge.transport.streams import Stream, os_error_message
 from rsb_bridge.transport.trials import Trials
 from rsb_bridge.wire.connection import ClientConnection, DataConnection
@@ -491,6 +492,13 @@ def _not_connected(address: str, error: OSError) -> Failure:
         return Failure(f"{address}: no answer: check that it is on, server_ip, and firewalls", LinkCause.TIMED_OUT)
     message = os_error_message(error)
     if isinstance(error, socket.gaierror):
-        remedy = "correct server_ip in this side's session file (a numeric address needs no name server)"
-        message = f"{message}: {remedy}"
+        message = f"{message}: {_remedy_for_name(error)}"
     return Failure(f"{address}: {message}")
+
+
+def _remedy_for_name(error: socket.gaierror) -> str:
+    if error.errno == socket.EAI_AGAIN and not has_network():
+        return NameText.NO_NETWORK()
+    if error.errno == socket.EAI_AGAIN:
+        return NameText.NO_NAME_SERVER()
+    return "correct server_ip in this side's session file (a numeric address needs no name server)"

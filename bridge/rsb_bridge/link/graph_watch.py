@@ -12,6 +12,7 @@ from rsb_bridge.model.patterns import is_hidden
 from rsb_bridge.model.session import Kind
 from rsb_bridge.ros.ros_graph import agreed_type, called_in
 from rsb_bridge.ros.ros_interface import RosError
+from rsb_bridge.route.lazy import AwaitedListeners
 from rsb_bridge.tasks import in_slices
 
 if TYPE_CHECKING:
@@ -79,6 +80,7 @@ class GraphWatch:
         self._noted = False
         self._looks = 0
         self._settled: asyncio.TimerHandle | None = None
+        self._awaited = context.shared(AwaitedListeners)
 
     def changed(self) -> None:
         """Look soon: the graph has changed. May be called from any thread."""
@@ -104,6 +106,7 @@ class GraphWatch:
 
     def _advance_soon(self) -> None:
         self._due.set()
+        self._awaited.graph_changed()
         if self._settled is not None:
             self._settled.cancel()
         self._settled = self._context.loop.call_later(_MATCHED_AFTER, self._due.set)

@@ -10,7 +10,7 @@ from rsb_bridge.link.extension import LinkError
 from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.model.session import Topic
 from rsb_bridge.ros.internal_ends import DrainT, SourceT
-from rsb_bridge.route.entry import Entry
+from rsb_bridge.route.route import Entry
 
 if TYPE_CHECKING:
     from collections.abc import Callable

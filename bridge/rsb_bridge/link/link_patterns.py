@@ -99,7 +99,8 @@ class PatternEntry:
         remote = None if self._remote is None else self._remote.fill(parts)
         if is_hidden(on_client) or not is_topic_name(on_client) or self._leaves_out(on_client):
             return None
-        return msgspec.structs.replace(self.topic, topic=on_client, remote_topic=remote, excepts=())
+        beat = self.topic.beat or (self.topic.topic if self.topic.kind == "topic" else None)
+        return msgspec.structs.replace(self.topic, topic=on_client, remote_topic=remote, excepts=(), beat=beat)
 
     def claims(self, topic: Topic) -> bool:
         """Whether it would bring back a topic, if that were removed."""

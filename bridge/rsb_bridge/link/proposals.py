@@ -23,8 +23,7 @@ from rsb_bridge.model.session import RANKS, Topic, priority_of
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.topic_keys import TOPIC_KEYS
 from rsb_bridge.model.transports import NO_PROFILE, compression_of
-from rsb_bridge.route.entry import Entry
-from rsb_bridge.route.route import route_key
+from rsb_bridge.route.route import Entry, route_key
 from rsb_bridge.wire.messages import Amend, Propose
 
 if TYPE_CHECKING:
@@ -83,6 +82,9 @@ def proposal_of(
         arm=topic.arm,
         limits=topic.limits,
         keep=topic.kept,
+        beat=topic.beat or "",
+        lazy=topic.lazy,
+        renew=topic.renew,
         timeout=topic.timeout or 0.0,
     )
 
@@ -113,6 +115,9 @@ def topic_of(proposal: Propose) -> Topic:
         arm=proposal.arm,
         limits=proposal.limits,
         keep=proposal.keep,
+        beat=proposal.beat or None,
+        lazy=proposal.lazy,
+        renew=proposal.renew,
         timeout=proposal.timeout or None,
     )
 

@@ -26,8 +26,7 @@ from rsb_bridge.link.proposals import (
 from rsb_bridge.link.questions import Questions
 from rsb_bridge.model.demands import effective_max_age
 from rsb_bridge.model.text import sanitize_text
-from rsb_bridge.route.entry import Entry
-from rsb_bridge.route.route import route_key
+from rsb_bridge.route.route import Entry, route_key
 from rsb_bridge.wire.messages import Edit, EditAnswer
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import groupby, islice
 from operator import attrgetter, itemgetter
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import msgspec
 import zstandard
@@ -174,14 +174,10 @@ class Questions(Generic[T]):
         self._to_answer.clear()
 
 
-class TypeQuestions(Extension):
-    """Asks the peer for descriptions of routes' types, and answers the same questions."""
+class AskingExtension(Extension):
+    """Asks and answers questions of one kind: what has no answer is asked again on the next connection."""
 
-    def __init__(self, link: BaseLink) -> None:
-        self._link = link
-        self._known = link.context.descriptions
-        self.messages = {AskType: self._asked, TypeText: self._answered}
-        self._questions: Questions[bytes] = Questions(link, _ANSWERED_WITHIN)
+    _questions: Questions[Any]
 
     def suspend(self) -> None:
         self._questions.suspend()
@@ -191,6 +187,16 @@ class TypeQuestions(Extension):
 
     def disconnected(self) -> None:
         self._questions.disconnected()
+
+
+class TypeQuestions(AskingExtension):
+    """Asks the peer for descriptions of routes' types, and answers the same questions."""
+
+    def __init__(self, link: BaseLink) -> None:
+        self._link = link
+        self._known = link.context.descriptions
+        self.messages = {AskType: self._asked, TypeText: self._answered}
+        self._questions: Questions[bytes] = Questions(link, _ANSWERED_WITHIN)
 
     def _asked(self, question: AskType) -> None:
         self._questions.answer(question.route, partial(self._find, question.route))
@@ -265,7 +271,7 @@ _LISTED_WITHIN = 30.0
 _MOST_BYTES = CONTROL_LIMIT - 4096  # the rest is for what is around the entries
 
 
-class TopicLists(Extension):
+class TopicLists(AskingExtension):
     """Asks the peer for the names in its graph, and answers the same question."""
 
     def __init__(self, link: BaseLink) -> None:
@@ -275,15 +281,6 @@ class TopicLists(Extension):
         self._questions: Questions[tuple[TopicEntry, ...]] = Questions(
             link, _LISTED_WITHIN, a_second=_LISTS_A_SECOND, newest_counts=True
         )
-
-    def suspend(self) -> None:
-        self._questions.suspend()
-
-    def resume(self) -> None:
-        self._questions.resume()
-
-    def disconnected(self) -> None:
-        self._questions.disconnected()
 
     def _asked(self, question: ListTopics) -> None:
         self._questions.answer(question.request, partial(self._find, question))

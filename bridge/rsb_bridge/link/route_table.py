@@ -34,9 +34,8 @@ from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.calls.caller import Caller
 from rsb_bridge.route.calls.provider import Provider
-from rsb_bridge.route.entry import Entry
 from rsb_bridge.route.receiver import Receiver
-from rsb_bridge.route.route import Route, route_key
+from rsb_bridge.route.route import Entry, Route, route_key
 from rsb_bridge.route.sender import Sender
 from rsb_bridge.tasks import in_slices
 from rsb_bridge.transport.transport import ListenError

@@ -352,6 +352,34 @@ class Call(Command[str], frozen=True, tag="call"):
     lane: str = ""  # one of the route's services (`RouteSnapshot.lanes`)
 
 
+WHOLE_ANSWER = 15 << 20
+"""Bytes of an answer that a console gets whole: with its description, it fits into a frame of the control socket."""
+
+
+class WholeAnswer(msgspec.Struct, frozen=True):
+    """The answer of a service as it came.
+
+    Attributes:
+        payload: serialized, with its encapsulation header.
+        description: of its type (`rsb_bridge.cdr.description`).
+        goal: id of the goal that the bridge has chosen, 32 hex digits, or an empty string.
+    """
+
+    payload: bytes
+    description: str
+    goal: str = ""
+
+
+class CallWhole(Command[WholeAnswer], frozen=True, tag="call_whole"):
+    """Call as `Call` does, for a program, which gets the whole answer."""
+
+    always = Effect.MOVES
+    cancellable = True
+    key: str
+    request: str
+    lane: str = ""
+
+
 class Stop(Command[None], frozen=True, tag="stop"):
     """End the bridge's process, as SIGTERM does.
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 Faulty: TypeAlias = LinkSnapshot | RouteSnapshot | PatternSnapshot
 
-_NOTHING_WRONG = frozenset({State.WAITING, State.PAUSED, State.DISARMED, State.DISARMING, State.OK})
+_NOTHING_WRONG = frozenset({State.WAITING, State.OK, *(state for state in State if state.is_wanted)})
 
 
 def state_counts(things: Iterable[RouteSnapshot | LinkSnapshot]) -> dict[State, int]:

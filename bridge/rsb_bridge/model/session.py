@@ -138,6 +138,11 @@ class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
     """Names on the client that a pattern leaves out, patterns or not; ``except`` in a file."""
     keep: float | Keep | None = None
     """All messages of so many s wait for a link that is away or carries too little, or None for what the QoS keeps."""
+    lazy: bool | None = None
+    """Whether the sending side subscribes only while somebody on the other side does, or None as the profile says."""
+    renew: bool = False  # whether it subscribes anew whenever more subscribe on the other side
+    beat: str | None = None
+    """The name that topics share whose limits choose the same stamps, or None for none, and of a pattern its own."""
 
     def __post_init__(self) -> None:
         _write_out(self)

@@ -40,7 +40,14 @@ class State(StrEnum):
     PAUSED = "paused"
     DISARMED = "disarmed"
     """It requires arming by an operator before anything crosses."""
+    RESTING = "resting"
+    """It is lazy, and not subscribed to, as nobody on the other side subscribes."""
     OK = "ok"
+
+    @property
+    def is_wanted(self) -> bool:
+        """Whether it is as operators want it, though nothing crosses."""
+        return self in _WANTED
 
     @property
     def rank(self) -> int:
@@ -64,6 +71,7 @@ class State(StrEnum):
 
 
 _RANKS = {state: rank for rank, state in enumerate(State)}
+_WANTED = frozenset({State.DISARMING, State.PAUSED, State.DISARMED, State.RESTING})
 _SEVERITIES = {
     State.DOWN: 2, State.STALE: 2, State.STOPPED: 2, State.LATE: 1, State.SLOW: 1, State.UNHEARD: 1,
 }  # fmt: skip

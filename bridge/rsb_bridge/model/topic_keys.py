@@ -15,7 +15,7 @@ from rsb_bridge.model.qos import PROFILES
 from rsb_bridge.model.session import CALL_TIMEOUT, DEADMAN, Kind
 from rsb_bridge.model.wording import Wording
 
-Value = Literal["text", "number", "switch", "list"]
+Value = Literal["text", "number", "switch", "choice", "list"]  # a choice is on, off or open
 
 STALE_AFTER = Range(0.1, 1e6)
 """s: the engine looks at a route every quarter of a second at most; the longest is eleven days."""
@@ -41,7 +41,7 @@ class ForeignKey(Wording):
     STALE_AFTER_OF_CALLED = (
         "calls do not become stale: leave it out; timeout limits how long a call waits for its answer"
     )
-    LIMITS_OF_CALLED = "only topics have it: leave it out"
+    OF_TOPICS_ONLY = "only topics have it: leave it out"
     LATE_AFTER_OF_CALLED = "only topics have it: leave it out; timeout limits how long a call waits for its answer"
     KEEP_OF_CALLED = "only topics have it, and calls wait for the link without it: leave it out"
     DIRECTION_OF_CALLED = "write provider: client or provider: server, the side whose node answers"
@@ -101,6 +101,7 @@ class TopicKey:
 
 
 _SWITCH = (("", "no"), ("yes", "yes"))
+_OPEN = (("", "as the profile says"), ("yes", "yes"), ("no", "no"))
 _PRIORITIES = (("", "normal"), ("high", "high"), ("low", "low"))
 _OLD = "Seconds; an older {} none: no limit. Empty: 1 s if it has to be armed, else no limit."
 _KNOWN_QOS = f"auto, {', '.join(PROFILES)}, a depth (20), or policies: {{reliability: best_effort}}"
@@ -124,6 +125,9 @@ TOPIC_KEYS: Final = {key.name: key for key in (
              sentence="at most {value:g} {unit}",
              label="Max rate", help="Hz; messages beyond it are left out. Empty: no limit.", blank="all",
              help_of_calls="Calls a second; those beyond it are refused. Empty: no limit."),
+    TopicKey("beat", kinds="topics", live=True, sentence="in beat {value}",
+             label="Beat", help="A name that topics share whose messages of one stamp pass their max rate together.",
+             blank="none; of a pattern its own"),
     TopicKey("priority", kinds="topics", live=True,
              sentence="{value} priority",
              label="Priority", help="While the link is full, topics of higher priority get a larger share of it.",
@@ -150,6 +154,11 @@ TOPIC_KEYS: Final = {key.name: key for key in (
              label="Keep", help="Seconds of which all messages wait for a link that is away or too slow: 60, or "
                                 "{seconds: 60, megabytes: 8}.",
              blank="what the QoS keeps"),
+    TopicKey("lazy", "choice", kinds="topics", live=True, sentence="lazy", zero=True, zero_sentence="never rests",
+             label="Lazy", help="Subscribed to only while somebody on the other side subscribes.", options=_OPEN),
+    TopicKey("renew", "switch", kinds="topics", live=True, sentence="renewed for each subscriber",
+             label="Renew", help="Subscribes once more for each subscriber on the other side, for publishers that "
+                                 "send all to a new subscriber.", options=_SWITCH),
     TopicKey("compression"),
     TopicKey("arm", "switch",
              label="Must be armed", help="Carries nothing until an operator arms it (key A).", options=_SWITCH),

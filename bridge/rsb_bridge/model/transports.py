@@ -51,6 +51,7 @@ class LinkProfile(NamedTuple):
     """s without a byte until the link is given up, and for which a reliable topic's messages are kept meanwhile, or
     None for 5."""
     outlive: float = 60.0  # s that topics and calls wait for a link whose connection is lost
+    lazy: bool = False  # whether images and point clouds are lazy whose entries leave that open
 
 
 NO_PROFILE: Final = LinkProfile()
@@ -59,7 +60,7 @@ NO_PROFILE: Final = LinkProfile()
 PROFILES: Final[dict[ProfileName, LinkProfile]] = {
     "lan": NO_PROFILE,
     "wifi": LinkProfile(queue_bytes=1024 * 1024),
-    "lte": LinkProfile("zstd", queue_bytes=256 * 1024, max_rate=10.0, patience=15.0, outlive=300.0),
+    "lte": LinkProfile("zstd", queue_bytes=256 * 1024, max_rate=10.0, patience=15.0, outlive=300.0, lazy=True),
     "bluetooth": LinkProfile("zstd", queue_bytes=64 * 1024, max_rate=5.0),
 }
 """Settings of links by the kind of their network, for what session files leave out.
@@ -71,7 +72,7 @@ On a ``lan``, and without a profile, nothing else is set.
 - ``lte`` is slow upwards (some 500 kB/s), is paid for by the byte, and has gaps of up to some 10 s between cells. So
   messages are compressed, half a second of them waits (256 KiB), and sensors cross at 10 Hz. The link
   is given up after 15 s of silence instead of 5, so that a gap costs no new connection, and topics wait for 5 minutes
-  instead of 1, as in a tunnel, a lift or an underground car park.
+  instead of 1, as in a tunnel, a lift or an underground car park. Nobody pays for images and clouds that nobody hears.
 - ``bluetooth`` is what RFCOMM links are set to anyway (50 kB/s: zstd, and 64 KiB of best effort), and sensors cross at
   5 Hz, which leaves a message 10 kB.
 """
@@ -104,4 +105,6 @@ def profile_text(profile: LinkProfile) -> str:
         f"given up after {profile.patience or 5:g} s of silence",
         f"waited for {profile.outlive:g} s",
     ]
+    if profile.lazy:
+        parts.append("images and clouds rest while nobody subscribes")
     return "; ".join(parts)

@@ -26,6 +26,8 @@ class Cause(StrEnum):
     """It requires arming by an operator before anything crosses."""
     DISARMING = "disarming"
     """The topic was disarmed, and the other side may act on earlier messages for up to 1 s."""
+    RESTING = "resting"
+    """Nobody on the receiving side wants the messages of a lazy topic, so that the sending side does not subscribe."""
     NO_PATH = "no_path"
     """Its transport does not get through, though the link is up."""
     AWAITS_LINK = "awaits_link"
@@ -137,11 +139,13 @@ class LinkCause(StrEnum):
 
 
 def about(seconds: float) -> str:
-    """Return a duration in one unit, which changes seldom: ``5 s``, ``40 s``, ``3 min``, ``2 h``."""
+    """Return a duration in one unit, which changes seldom: ``5 s``, ``40 s``, ``3 min``, ``2 h``, ``5 d``."""
     if seconds < 10:
         return f"{max(1, int(seconds))} s"
     if seconds < 60:
         return f"{int(seconds / 10) * 10} s"
+    if seconds >= 2 * 86400:
+        return f"{int(seconds / 86400)} d"
     return f"{int(seconds / 60)} min" if seconds < 3600 else f"{int(seconds / 3600)} h"
 
 

@@ -1,4 +1,7 @@
-"""Finds the ROS 2 that is installed here: its distribution, and the middleware (rmw). This module does not load ROS."""
+"""Finds the ROS 2 that is installed here: its distribution, and the middleware (rmw).
+
+This module does not load ROS, and checks what would end the process that does.
+"""
 
 from __future__ import annotations
 
@@ -21,6 +24,9 @@ _BY_RCLPY = {"3.3": "humble", "7.1": "jazzy", "9.1": "kilted"}
 """Distributions by their version of rclpy."""
 _VARIABLES = ("RMW_IMPLEMENTATION", "RCL_ASSERT_RMW_ID_MATCHES")
 _INDEX = "share/ament_index/resource_index"
+SHARED = Path("/dev/shm")  # noqa: S108 -- where the C library has it
+_LEAST_SHARED = 64 << 10
+"""Bytes. With 4 kB free, the process ends; with 8 kB Fast DDS does without shared memory. A round figure above."""
 _NOT_ONE = "rmw_implementation"  # it is listed too, and loads one of the others
 
 
@@ -88,3 +94,30 @@ def check_middleware(environment: Mapping[str, str]) -> None:
                     package=package_of(wanted),
                 )
             )
+
+
+class MemoryProblem(Wording):
+    """The reasons why ROS would end the process while it is loaded."""
+
+    SHARED_FULL = (
+        "{folder} is full ({free} kB are free), which would end the process: make room there (rsb-console doctor names "
+        "what killed nodes have left), or in a container give more (docker run --shm-size=512m)"
+    )
+
+
+def check_shared_memory(folder: Path = SHARED) -> None:
+    """Check that shared memory has room; there may be none at all.
+
+    The libraries of ROS, and lttng with them, write to it while they are loaded. On a full file system, the kernel
+    answers with SIGBUS.
+
+    Raises:
+        RosError: it is full.
+    """
+    try:
+        system = os.statvfs(folder)
+    except OSError:
+        return
+    free = system.f_bavail * system.f_frsize
+    if free < _LEAST_SHARED:
+        raise RosError(MemoryProblem.SHARED_FULL(folder=folder, free=free // 1024))

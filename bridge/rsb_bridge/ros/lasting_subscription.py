@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 _FIRST_DELAY, _LONGEST_DELAY = 0.5, 30.0
 """s. Round figures: a subscription that fails at once costs an attempt each 30 s in the end."""
+_APART = 0.05
+"""s. Between two subscriptions of which the publisher is to notice that one has gone: the first is freed by then."""
 _HEALED_AFTER = 60.0
 """s after which a failure is a new one, with the first delay again: twice the longest delay."""
 
@@ -65,6 +67,12 @@ class LastingSubscription:
         if self._subscription is not None:
             self._drop()
             self._try_again()
+
+    def renew(self) -> None:
+        """Subscribe anew, so that publishers see a new subscription after none, unless it has failed."""
+        if self._subscription is not None:
+            self._drop()
+            self._retry = self._loop.call_later(_APART, self._try_again)
 
     def close(self) -> None:
         """Take no more messages. May be called twice."""

@@ -14,12 +14,14 @@ from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
 from weakref import WeakSet
 
 from rsb_bridge.model.qos import incompatible
-from rsb_bridge.ros.distribution import check_middleware
+from rsb_bridge.ros.discovery import Discovery, whole_graph
+from rsb_bridge.ros.distribution import check_middleware, check_shared_memory
 from rsb_bridge.ros.memory import histories_that_shrink, large_blocks_kept
 from rsb_bridge.ros.native.shared_memory import ReadPorts
 from rsb_bridge.ros.native.typesupport import hash_of, installed_class, installed_service, service_hash_of
 from rsb_bridge.ros.ros_interface import BATCH, Liveliness, RawMessage, Request, Response, RosError, RosProblem
 from rsb_bridge.ros.ros_thread import LONGEST_WAIT, RosTurns
+from rsb_bridge.ros.security import Security
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Sequence
@@ -92,6 +94,7 @@ class RosNode:
         self.node_name = f"_rsb_{re.sub(r'[^A-Za-z0-9_]', '_', name)[:64]}_{self.instance_id}"
         self.turns = RosTurns(self._wake)
         self.shortfalls: tuple[str, ...] = ()
+        self.discovery = Discovery(os.environ)
         self._lock = threading.Lock()
         self._asking = threading.Lock()
         """Held during questions to other nodes, so that the domain is not left meanwhile."""
@@ -116,17 +119,18 @@ class RosNode:
         Raises:
             RosError: rclpy or the middleware is missing, or the domain could not be joined.
         """
-        # Before rclpy is loaded: with a wrong middleware, loading it would end the process.
+        # Before rclpy is loaded, as loading it would end the process.
         check_middleware(os.environ)
+        check_shared_memory()
         try:
             from rsb_bridge.ros.participant import Participant  # noqa: PLC0415  only a node that starts needs rclpy
         except ImportError as error:
             raise RosError(RosProblem.NOT_INSTALLED(error=error)) from error
         if self._thread is not None:
             raise RosError(RosProblem.STARTED_TWICE())
-        with histories_that_shrink(os.environ):
+        with histories_that_shrink(os.environ), whole_graph(os.environ):
             participant = self._participant = Participant(self._domain_id, self.node_name)
-        self.shortfalls = participant.shortfalls
+        self.shortfalls = (*participant.shortfalls, *filter(None, (Security(os.environ).unsecured(),)))
         self._thread = threading.Thread(target=self._serve, args=(participant,), name="ros", daemon=True)
         self._thread.start()
 
@@ -265,16 +269,22 @@ class RosNode:
             self._drain(client, participant)
         return client
 
-    def own_subscriptions(self, topic: str, offered: Qos) -> int:
-        """How many of our own subscriptions match a publisher of that QoS on a topic."""
+    def _own_readers(self, topic: str) -> Sequence[_Subscription]:
         # Each publisher asks at each look at the graph, and there may be hundreds of both.
         if (drains := self._drains) is not self._indexed[0]:
             by_topic: dict[str, list[_Subscription]] = {}
             for each in self._subscriptions():
                 by_topic.setdefault(each.topic, []).append(each)
             self._indexed = drains, by_topic
+        return self._indexed[1].get(topic, ())
+
+    def own_subscriptions(self, topic: str, offered: Qos) -> int:
+        """How many of our own subscriptions match a publisher of that QoS on a topic."""
         # DDS counts a subscription whose QoS does not fit as not matched, so it is not subtracted either.
-        return sum(not incompatible(offered, each.qos) for each in self._indexed[1].get(topic, ()))
+        return sum(not incompatible(offered, each.qos) for each in self._own_readers(topic))
+
+    def takes(self, topic: str, besides: Hashable) -> bool:
+        return any(each.key[1] != besides for each in self._own_readers(topic))
 
     def own_asserted(self, key: _Key, requested: Qos) -> int:
         """How many of our own publishers of a key are alive for a subscription of that QoS."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import os
 import threading
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
@@ -31,6 +32,7 @@ from rsb_bridge.ros.native.rclpy_extension import (
 )
 from rsb_bridge.ros.raw_types import borrow_service, borrow_type
 from rsb_bridge.ros.ros_interface import Endpoint, RosError, RosProblem
+from rsb_bridge.ros.security import Security
 from rsb_bridge.ros.self_test import ARGUMENTS, findings
 from rsb_bridge.ros.service_endpoints import (
     CallerTable,
@@ -86,7 +88,8 @@ class Participant:
             self._node = found.node(node_name, self._context)
         except RuntimeError as error:
             self._context.try_shutdown()  # `shutdown` raises if `init` has failed
-            raise RosError(f"ROS domain {domain_id} cannot be joined: {reason_of(error)}") from error
+            reason = Security(os.environ).why_not_joined(reason_of(error))
+            raise RosError(f"ROS domain {domain_id} cannot be joined: {reason}") from error
         self.shortfalls = found.shortfalls
         self._name = self._node.handle.get_fully_qualified_name()
         tells = WaitSetArrivals if found.no_arrivals else EventArrivals

@@ -13,6 +13,7 @@ from rsb_bridge.model.wording import Wording
 if TYPE_CHECKING:
     from rsb_bridge.model.calls import Fields
     from rsb_bridge.model.qos import Qos
+    from rsb_bridge.ros.discovery import Discovery
     from rsb_bridge.ros.publication_numbers import PublicationNumbers
     from rsb_bridge.ros.ros_thread import RosTurns
 
@@ -300,12 +301,14 @@ class RosInterface(RouteEnds, Protocol):
         node_name: our node's, without the ``/`` before it.
         turns: of the thread that drains subscriptions.
         shortfalls: what does not work with this ROS, in an operator's words; known once it has started.
+        discovery: how nodes find each other here.
     """
 
     instance_id: str
     node_name: str
     turns: RosTurns
     shortfalls: tuple[str, ...]
+    discovery: Discovery
 
     def start(self) -> None:
         """Join the domain and start the thread that drains subscriptions.
@@ -370,6 +373,9 @@ class RosInterface(RouteEnds, Protocol):
         Raises:
             RosError: the node could not be asked.
         """
+
+    def takes(self, topic: str, besides: Hashable) -> bool:
+        """Whether our own node subscribes to a topic for another origin, such as another link or an operator's view."""
 
     def services(self) -> dict[str, list[str]]:
         """Return every service of the graph with its type names (``pkg/srv/Name``, ``pkg/action/Name_SendGoal``).

@@ -53,7 +53,7 @@ from rsb_bridge.ros.service_endpoints import CallerTable, RawServiceClient, RawS
 from rsb_bridge.ros.topic_endpoints import Reader, Writer
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from rsb_bridge.ros.native.named_types import NamedTypes
     from rsb_bridge.ros.native.rclpy_extension import Kind, OwnNode
@@ -65,8 +65,13 @@ FAST_DDS = "rmw_fastrtps_cpp"
 
 _DOMAIN = 101
 """The last one whose ports Linux gives to no other program (`model.limits.SAFE_DOMAIN`)."""
-_ALONE = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF", "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}
-"""No discovery, and no shared memory, for which processes that test at the same time would compete."""
+_ALONE = {
+    "ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF",
+    "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
+    "ROS_DISCOVERY_SERVER": None,
+    "ROS_SECURITY_ENABLE": None,
+}
+"""No discovery, no security, and no shared memory, for which processes that test at the same time would compete."""
 _QOS = Qos("reliable", "volatile", "keep_last", 5)
 _NAME = "/rsb_self_test"
 _HASH = HASH_PREFIX + 32 * "5a"
@@ -185,7 +190,7 @@ def _found(node: Callable[[str, Context], OwnNode], context: Context) -> Finding
 def _alone() -> Iterator[Context]:
     """Make a context that discovers nobody."""
     before = {name: os.environ.get(name) for name in _ALONE}
-    os.environ.update(_ALONE)
+    _set(_ALONE)
     context = Context()
     try:
         context.init(ARGUMENTS, domain_id=_DOMAIN)
@@ -193,13 +198,17 @@ def _alone() -> Iterator[Context]:
     except (RuntimeError, _DiffersError) as error:
         raise RosError(RosProblem.LACKS(distribution=described(), name=reason_of(error))) from error
     finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
+        _set(before)
         context.try_shutdown()
         context.destroy()
+
+
+def _set(variables: Mapping[str, str | None]) -> None:
+    for name, value in variables.items():
+        if value is None:
+            os.environ.pop(name, None)
+        else:
+            os.environ[name] = value
 
 
 def _why_not(

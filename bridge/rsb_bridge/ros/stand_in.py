@@ -25,6 +25,7 @@ from rsb_bridge.cdr.known_types import (
     stamped_string,
 )
 from rsb_bridge.model.qos import Qos
+from rsb_bridge.ros.discovery import Discovery
 from rsb_bridge.ros.ros_interface import Endpoint, Liveliness, RawMessage, RosError
 from rsb_bridge.ros.ros_thread import RosTurns
 
@@ -60,6 +61,7 @@ class NoRos:
     instance_id = "0123abcd"
     node_name = "_rsb_robot1_0123abcd"
     shortfalls: tuple[str, ...] = ()
+    discovery = Discovery({})
     turns = RosTurns()
 
     def start(self) -> None:
@@ -82,6 +84,9 @@ class NoRos:
 
     def subscriptions(self, topic: str) -> list[Endpoint]:
         return []
+
+    def takes(self, topic: str, besides: Hashable) -> bool:
+        return False
 
     def services(self) -> dict[str, list[str]]:
         return {}
@@ -151,6 +156,7 @@ class StandIn(NoRos):
         self.instance_id = secrets.token_hex(4)
         self.node_name = f"_rsb_{name}_{self.instance_id}"
         self.shortfalls: tuple[str, ...] = ()
+        self.discovery = Discovery({})
         self.talks = tuple(talks)
         self.published = dict.fromkeys((each.topic for each in talks), 0)
         self.received = dict.fromkeys(hears, 0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, TypeVar
+from typing import TYPE_CHECKING
 
 from rsb_bridge.channel.channel import REOPENS
 from rsb_bridge.model.reason import EndCode
@@ -13,9 +13,10 @@ from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.crossing import Crossing
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Iterable, Sequence
 
     from rsb_bridge.model.faults import PathFault
+    from rsb_bridge.route.half import Facts, FactsT, Rules
 
 _LINK_STAGE, ACCEPTED = "link up", "peer accepted"
 """Names of stages."""
@@ -37,28 +38,7 @@ _BETWEEN_LOSSES = frozenset(
 """Verdicts on a route that has recovered for a moment, or opens again."""
 
 
-class JudgedHalf(Protocol):
-    """One half of a route, as the rules of its verdict and of its stages read it."""
-
-    route: Any
-
-    @property
-    def breaking(self) -> str: ...
-
-    @property
-    def came(self) -> bool: ...
-
-    @property
-    def came_before(self) -> bool: ...
-
-
-HalfT = TypeVar("HalfT", bound=JudgedHalf)
-Rules: TypeAlias = "tuple[Callable[[HalfT, Crossing], Verdict | None], ...]"
-"""Rules for what a route carries, over one half and whether messages may cross it, which takes a while to find out.
-The order counts: of equally bad verdicts, the first does."""
-
-
-def judge(half: HalfT, crossing: Crossing, rules: Rules[HalfT]) -> Verdict:
+def judge(half: FactsT, crossing: Crossing, rules: Rules[FactsT]) -> Verdict:
     """Return the verdict that counts.
 
     A blocking verdict counts alone, because it keeps the others from being known. Otherwise the worst one counts,
@@ -82,7 +62,7 @@ def judge(half: HalfT, crossing: Crossing, rules: Rules[HalfT]) -> Verdict:
     return worst if explanation is None else replace(explanation, state=worst.state)
 
 
-def explained(half: JudgedHalf, verdict: Verdict) -> Verdict:
+def explained(half: Facts, verdict: Verdict) -> Verdict:
     """Return a verdict with the fault of the path as its cause, if that explains it.
 
     A silent link says nothing of its topics: they wait.
@@ -128,7 +108,7 @@ class LossyPath:
         return Verdict(State.SLOW, Cause.LOSSY, path.text)
 
 
-def blocked(half: JudgedHalf, crossing: Crossing) -> Verdict | None:
+def blocked(half: Facts, crossing: Crossing) -> Verdict | None:
     """Return the verdict that keeps the others from being known, or None."""
     if not half.route.peer.linked:
         return Verdict(State.DOWN, Cause.LINK_DOWN, half.route.away_text(), half.route.peer.suspended_since)
@@ -142,7 +122,7 @@ def blocked(half: JudgedHalf, crossing: Crossing) -> Verdict | None:
     return _refused(half) or _held_back(half, crossing)
 
 
-def stages_with_link(half: JudgedHalf, before: Sequence[Stage], after: Sequence[Stage]) -> tuple[Stage, ...]:
+def stages_with_link(half: Facts, before: Sequence[Stage], after: Sequence[Stage]) -> tuple[Stage, ...]:
     """Return a half's stages, with those of the link and of the peer's acceptance in the middle.
 
     The link's needs a working channel. Without a link, no other one is known.
@@ -169,7 +149,7 @@ def first_missing(stages: Iterable[Stage]) -> str:
     return (first.detail or f"not yet: {first.name}") if first else ""
 
 
-def _refused(half: JudgedHalf) -> Verdict | None:
+def _refused(half: Facts) -> Verdict | None:
     refusal = half.route.shown_refusal
     if not refusal.text:
         return None
@@ -183,7 +163,7 @@ def _refused(half: JudgedHalf) -> Verdict | None:
     return Verdict(State.DOWN, Cause.NO_PATH, str(refusal))
 
 
-def _held_back(half: JudgedHalf, crossing: Crossing) -> Verdict | None:
+def _held_back(half: Facts, crossing: Crossing) -> Verdict | None:
     match crossing:
         case Crossing.LOOP:
             return Verdict(State.DOWN, Cause.LOOP, half.route.notices.loop)
@@ -199,5 +179,5 @@ def _held_back(half: JudgedHalf, crossing: Crossing) -> Verdict | None:
             # That reason names the step that has to come first.
             remedy = "" if why is Disarmed.LINK_SLOW else f": arm it (key A, rsb-console arm {half.route.local_topic})"
             return Verdict(State.DISARMED, Cause.DISARMED, disarmed + remedy)
-        case Crossing.NOT_OPEN | Crossing.UNHEARD | Crossing.YES:
+        case Crossing.NOT_OPEN | Crossing.RESTING | Crossing.UNHEARD | Crossing.YES:
             return None

@@ -10,12 +10,12 @@ import msgspec
 
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level, State
-from rsb_bridge.model.text import sanitize_text
+from rsb_bridge.model.text import join_first, sanitize_text
 from rsb_bridge.model.verdict import FINE, Cause, Verdict, worse
 from rsb_bridge.wire.records import VerdictRecord
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable
 
     from rsb_bridge.model.faults import PathFault
     from rsb_bridge.ros.ros_interface import Endpoint
@@ -29,12 +29,14 @@ _SAME_ON_BOTH = frozenset(
 _ENOUGH_SAID_HERE = frozenset(
     {
         Cause.NONE, Cause.NO_MESSAGE, Cause.SILENT, Cause.THROTTLED, Cause.NO_CALL, Cause.UNANSWERED, Cause.CALLS_WAIT,
-        Cause.CALLS_REFUSED, Cause.SEVERAL_PUBLISHERS,
+        Cause.CALLS_REFUSED, Cause.SEVERAL_PUBLISHERS, Cause.RESTING,
     }
 )  # fmt: skip
 """Causes of which the other side knows no more, if it has the same."""
 _OF_NODE = (Cause.UNANSWERED, Cause.CALLS_WAIT)
 """Causes that the providing side can tell from a lossy path."""
+NAMED = 3
+"""Nodes that a sentence names."""
 # Of reports, which have room for a thousand routes.
 _TEXT_LENGTH = 300  # characters of a text
 NODES, NODE_LENGTH = 4, 64  # the most nodes, and characters of their names
@@ -178,6 +180,20 @@ def node_names(endpoints: Iterable[Endpoint]) -> tuple[str, ...]:
     """Return the names of the nodes with these endpoints, as reports to the other side list them."""
     names = sorted({each.node for each in endpoints if each.node})
     return tuple([sanitize_text(name, NODE_LENGTH) for name in names[:NODES]])
+
+
+def named(nodes: Iterable[str]) -> str:
+    """``/a``, ``/a and /b``, ``/a, /b, /c and 2 more``."""
+    return join_first(sorted({node or "a node that is not known yet" for node in nodes}), NAMED) or "nobody"
+
+
+def nodes_by(endpoints: Iterable[Endpoint], what: Callable[[Endpoint], str]) -> dict[str, set[str]]:
+    """Group endpoints' nodes by a property of the endpoint. Endpoints without it are left out."""
+    nodes: dict[str, set[str]] = {}
+    for each in endpoints:
+        if key := what(each):
+            nodes.setdefault(key, set()).add(each.node)
+    return dict(sorted(nodes.items()))
 
 
 class StateEvent(NamedTuple):

@@ -22,6 +22,8 @@ class Crossing(Enum):
     """Both sides have agreed that it is armed, and have not answered each other in time yet."""
     NOT_OPEN = auto()
     """Only the other side's consent or a channel is missing."""
+    RESTING = auto()
+    """It is lazy, and nobody on the receiving side wants its messages (`rsb_bridge.route.lazy`)."""
     UNHEARD = auto()
     """It is armed and set up, and nothing passes for now: the two sides have not heard each other for a second."""
     YES = auto()
@@ -31,7 +33,7 @@ class Crossing(Enum):
 
     @property
     def is_held_back(self) -> bool:
-        """Whether it is the will of operators, or a loop, that nothing crosses."""
+        """Whether it is the will of operators, or a loop, or nobody's wish, that nothing crosses."""
         return not self.flows and self is not Crossing.NOT_OPEN
 
     @property

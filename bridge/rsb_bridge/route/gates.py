@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.ros_interface import RawMessage, Request
     from rsb_bridge.route.age import MessageAge
     from rsb_bridge.route.arming import Arming
+    from rsb_bridge.route.beat import TopicInBeat
     from rsb_bridge.route.drivers import Drivers
     from rsb_bridge.route.history_depth import Sample
     from rsb_bridge.route.ledger import RouteLedger
@@ -160,17 +161,9 @@ class CallRateGate:
         return None if self._bucket.take(1.0, now) else Refused.TOO_FAST
 
 
-class Carries(Protocol):
-    """A sender of calls, as far as gates know it."""
-
-    @property
-    def largest(self) -> int:
-        """Bytes of the largest call that the transport carries."""
-
-
-def size_gate(outbox: Carries) -> Gate[Request]:
-    """Pass requests that the transport carries."""
-    return lambda request, _: Refused.TOO_LARGE if len(request.payload) > outbox.largest else None
+def size_gate(largest: int) -> Gate[Request]:
+    """Pass requests of at most `largest` bytes, which the transport carries."""
+    return lambda request, _: Refused.TOO_LARGE if len(request.payload) > largest else None
 
 
 def budget_gate(budget: CallBudget) -> Gate[Request | CallFrame]:
@@ -200,14 +193,16 @@ def _then(first: Sieve[S], second: Sieve[S]) -> Sieve[S]:
     return lambda batch: second(first(batch))
 
 
-def fresh_sieve(age: MessageAge, ledger: RouteLedger) -> Sieve[RawMessage]:
+def fresh_sieve(flow: TopicFlow, ledger: RouteLedger) -> Sieve[RawMessage]:
     """Pass what is young enough as it comes from ROS, by its publisher's stamps."""
+    age, silence, now = flow.route.age, flow.silence, flow.route.context.now
 
     def sieve(batch: Sequence[RawMessage]) -> Sequence[RawMessage]:
         fresh = age.fresh(batch)
         if expired := len(batch) - len(fresh):
             ledger.offered += expired
             ledger.expired += expired
+            silence.seen(now())  # whoever publishes what is too old has not stopped
         return fresh
 
     return sieve
@@ -249,11 +244,16 @@ def driver_sieve(drivers: Drivers) -> Sieve[RawMessage]:
     return sieve
 
 
-def throttle_sieve(throttle: Throttle, ledger: RouteLedger, flow: TopicFlow, later: LastLater) -> Sieve[RawMessage]:
-    """Pass as many of a volatile topic's messages a second as both sides want."""
+def throttle_sieve(
+    throttle: Throttle, ledger: RouteLedger, flow: TopicFlow, later: LastLater, beat: TopicInBeat | None
+) -> Sieve[RawMessage]:
+    """Pass as many of a volatile topic's messages a second as both sides want, those that its beat chooses."""
 
     def sieve(batch: Sequence[RawMessage]) -> Sequence[RawMessage]:
-        passed = [message for message in batch if throttle.passes(message.stamp)]
+        if beat is None:
+            passed = [message for message in batch if throttle.passes(message.stamp)]
+        else:
+            passed = [message for message in batch if beat.passes(message)]
         left_out = len(batch) - len(passed)
         if flow.carried.may_move or flow.route.arming.required:
             last = None if passed and passed[-1] is batch[-1] else batch[-1]
@@ -324,22 +324,24 @@ def sending_gates(
     later: LastLater,
     loops: LoopFilter,
     fitting: Sieve[Message],
+    beat: TopicInBeat | None = None,
 ) -> SendingGates:
     """Return the gates of messages from ROS to the channel.
 
     Args:
+        beat: chooses for the throttle, or None if that goes by itself.
         later: has the last of what may move a robot pass after all.
         fitting: passes what the transport carries.
     """
     route = flow.route
     age, ages = route.age, route.age.is_on
     # A latched topic's messages wait in its histories; their age is asked when they leave these (`kept_age_sieve`).
-    fresh = (fresh_sieve(age, ledger),) if ages and not flow.is_latched else ()
+    fresh = (fresh_sieve(flow, ledger),) if ages and not flow.is_latched else ()
     driven = (driver_sieve(flow.drivers),) if flow.drivers.are_watched else ()
     return SendingGates(
         batch=armed_gates(route),
         arriving=(*fresh, loop_sieve(loops, route, ledger), *driven),
-        sourced=(throttle_sieve(throttle, ledger, flow, later),) if throttle.is_on else (),
+        sourced=(throttle_sieve(throttle, ledger, flow, later, beat),) if throttle.is_on else (),
         kept=(*((kept_age_sieve(age, ledger),) if ages else ()), kept_loop_sieve(loops, ledger)),
         packed=(fitting,),
         leaving=(young_sieve(age, ledger),) if ages else (),
@@ -396,9 +398,9 @@ class CallingGates(NamedTuple):
     leaving: Gates  # right before the channel gets it
 
 
-def calling_gates(route: Route, outbox: Carries, rate: CallRateGate, *, limited: bool) -> CallingGates:
+def calling_gates(route: Route, largest: int, rate: CallRateGate, *, limited: bool) -> CallingGates:
     """Return the gates of calls from ROS to the channel."""
-    fits, budget = size_gate(outbox), budget_gate(route.peer.budget.asked)
+    fits, budget = size_gate(largest), budget_gate(route.peer.budget.asked)
     if not limited:
         return CallingGates((fits, budget), ())
     young: Gates = (young_gate(route.age),) if route.age.is_on else ()

@@ -10,21 +10,23 @@ its gates composed when arming, age or limit switch (`gates.compose_when_switche
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeAlias, TypeVar
 
 from rsb_bridge.channel.channel import DataChannel
+from rsb_bridge.model.verdict import LASTING
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
     from functools import partial
 
     from rsb_bridge.cdr.description import TypeVersion
     from rsb_bridge.cdr.known_types import Velocity
     from rsb_bridge.model.snapshot import RouteSnapshot, Stage
+    from rsb_bridge.model.verdict import Verdict
     from rsb_bridge.ros.ros_interface import Endpoint
-    from rsb_bridge.route.blocking_rules import Rules
     from rsb_bridge.route.crossing import Crossing
     from rsb_bridge.route.idling import Signs
+    from rsb_bridge.route.notices import ChannelLosses
     from rsb_bridge.wire.framing import Message
     from rsb_bridge.wire.records import CallsReport, ReceivedReport, SentReport
 
@@ -55,7 +57,7 @@ class Carried(Generic[ChannelT]):
 
 
 class Facts(Protocol):
-    """The knowledge of a half, for its route's verdict, stages and snapshot."""
+    """The knowledge of a half, for its route's verdict, stages and snapshot. What has a body is the usual answer."""
 
     route: Any
 
@@ -77,10 +79,13 @@ class Facts(Protocol):
     @property
     def large_vanish(self) -> bool:
         """Whether none of its last large datagrams has arrived, while smaller ones do."""
+        return False
 
     @property
     def breaking(self) -> str:
         """The reason why its channel breaks before anything arrives, or an empty string."""
+        losses: ChannelLosses = self.route.losses
+        return losses.repeated if losses.reasons else ""  # nearly always it has none, which saves a call
 
     @property
     def on_end(self) -> str:
@@ -89,6 +94,7 @@ class Facts(Protocol):
     @property
     def velocity(self) -> Velocity | None:
         """The velocity that the receiving side has published last, or None if it is unknown."""
+        return None
 
     @property
     def message_types(self) -> tuple[TypeVersion, ...]:
@@ -109,12 +115,20 @@ class Facts(Protocol):
     @property
     def may_not_be_late(self) -> bool:
         """Whether it carries messages that may move a robot, and that are not kept."""
+        return False
 
     def waiting_text(self) -> str:
         """Return why it carries nothing while its link is away and the association goes on, perhaps with `LASTING`."""
+        return f"waiting {LASTING} for the link"
 
     def snapshot_of(self, common: partial[RouteSnapshot]) -> RouteSnapshot:
         """Return the snapshot whose common part is given."""
+
+
+FactsT = TypeVar("FactsT", bound=Facts)
+Rules: TypeAlias = "tuple[Callable[[FactsT, Crossing], Verdict | None], ...]"
+"""Rules for what a route carries, over one half and whether messages may cross it, which takes a while to find out.
+The order counts: of equally bad verdicts, the first does."""
 
 
 class Half(Protocol):
@@ -125,7 +139,6 @@ class Half(Protocol):
         duplex: whether both sides send.
         peer_report: type of the reports that the other side's half sends.
         rules: of its verdict.
-        never_idle: whether it is ticked each second, whatever happens.
     """
 
     outgoing: ClassVar[bool]
@@ -136,10 +149,11 @@ class Half(Protocol):
     def __init__(self, route: Any) -> None: ...
 
     @property
-    def never_idle(self) -> bool: ...
+    def carried(self) -> Carried[Any]: ...
 
     @property
-    def carried(self) -> Carried[Any]: ...
+    def rests(self) -> bool:
+        """Whether nobody wants the messages of a lazy topic."""
 
     @property
     def facts(self) -> Facts: ...

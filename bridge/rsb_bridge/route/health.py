@@ -3,26 +3,16 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from rsb_bridge.telemetry.watches import LATELY, LossWatch, SlowWatch, StopWatch
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from rsb_bridge.model.session import Topic
     from rsb_bridge.model.snapshot import Ledger
     from rsb_bridge.ros.ros_interface import Endpoint
-    from rsb_bridge.route.rate_limit import RateLimit
-    from rsb_bridge.telemetry.meters import RateMeter
-
-
-class WatchedRoute(Protocol):
-    """A topic's route, as its health is judged by it."""
-
-    spec: Topic
-    meter: RateMeter
-    limit: RateLimit
+    from rsb_bridge.route.route import Route
 
 
 class Health:
@@ -42,7 +32,7 @@ class Health:
 
     def judge(
         self,
-        route: WatchedRoute,
+        route: Route,
         ledger: Ledger,
         now: float,
         publishers: Iterable[Endpoint],

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 _SETTLES_AFTER = 0.1  # s without a message of a publisher: its history has come
 _HELD_FOR = 0.3  # s that messages wait for a probe; a publisher that has not been quiet for so long is busy
 _HELD = LATCHED_DEPTH  # messages of a publisher that wait; a longer burst is sent with the most that may be kept
-_FORGOTTEN_AFTER = 20.0  # s that a publisher is gone: longer than the peer keeps its history, whose numbers may return
+_ENDED_AFTER = 0.5  # s: the graph is looked at 1 s after its last change, and may have lost a publisher for a moment
 
 _PROBES_FOR = 1.0  # s until a probe ends that has not got what it waits for
 _PROBE_SETTLES_AFTER = 0.05  # s after all that it waits for: what overtook that in the other subscription has come, too
@@ -188,8 +188,11 @@ class Histories:
             publisher.settled = publisher.exact
             publisher.arrivals.clear()
 
-    def forget_gone(self, present: Collection[bytes]) -> None:
-        """Forget publishers that are gone."""
+    def forget_gone(self, present: Collection[bytes]) -> set[bytes]:
+        """Forget publishers that have ended; return the others, among them any that the graph has lost just now.
+
+        The peer drops the histories of publishers that have ended, so if one returns, its whole history is sent.
+        """
         now = self._loop.time()
         if self._bounds_before:
             here = {publisher_id(gid) for gid in present}
@@ -203,8 +206,9 @@ class Histories:
             if publisher.gone_since is None:
                 publisher.gone_since = now
             # A publisher that still sends is there, even if the graph has lost it.
-            if now - max(publisher.latest, publisher.gone_since) > _FORGOTTEN_AFTER:
+            if now - max(publisher.latest, publisher.gone_since) > _ENDED_AFTER:
                 del self._publishers[gid]
+        return {*present, *self._publishers}
 
     def close(self) -> int:
         """Stop emitting messages, and return how many were held."""

@@ -48,7 +48,7 @@ _LOOKS_AGAIN_AFTER = 0.02  # until DDS is asked again who has discovered what: a
 _AT_ONCE, _GOES_ON_AFTER, _MANY = 100, 0.005, 5000
 
 _ALONE = 16  # messages of a growing history with a publisher each: the sender probes each for as many (`history_depth`)
-_GONE_AFTER = 10.0  # s that a history outlives its publisher, which a sender that has just started may not know yet
+_GONE_AFTER = 10.0  # s without a word of a publisher, which a sender that has just started may not know yet
 
 
 Dropped: TypeAlias = Callable[[Refused | RosError], None]
@@ -101,6 +101,7 @@ class _History:
 
     seen_at: float  # s, when it was last seen
     newest: int = 0  # number of its newest message that came here
+    was_present: bool = False  # in this opening, so that its absence means its end
     outputs: list[_OutputHistory] = field(default_factory=list)  # the publishers here that have its messages
     # Until an output is discovered, or has delivered what it published before.
     waiting: deque[_Message] = field(default_factory=deque)
@@ -181,7 +182,7 @@ class LatchedTopic:
     def opened(self) -> None:
         """Begin a new opening; the sender may not have discovered its publishers yet."""
         for history in self._histories.values():
-            history.seen_at = self._loop.time()
+            history.seen_at, history.was_present = self._loop.time(), False
 
     def present(self, publishers: Mapping[bytes, int]) -> None:
         """Take the sender's present publishers, and the depth of each or 0. Messages beyond it are kept no longer."""
@@ -189,7 +190,7 @@ class LatchedTopic:
         self._present = publishers
         for publisher, depth in publishers.items():
             if (history := self._histories.get(publisher)) is not None:
-                history.seen_at = now
+                history.seen_at, history.was_present = now, True
                 if depth:
                     self._drop_older(history, history.newest - depth)
 
@@ -210,8 +211,8 @@ class LatchedTopic:
                 self._close(output)
         for publisher, history in tuple(self._histories.items()):
             if publisher in self._present:
-                history.seen_at = now
-            elif now - history.seen_at > _GONE_AFTER and not history.waiting:
+                history.seen_at, history.was_present = now, True
+            elif (history.was_present or now - history.seen_at > _GONE_AFTER) and not history.waiting:
                 del self._histories[publisher]
                 self._retire(history.outputs)
         if not self._histories:

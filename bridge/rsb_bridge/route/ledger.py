@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.snapshot import Ledger
+from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.publication_numbers import Untaken
 from rsb_bridge.route.age import EXPIRED
 
@@ -41,6 +42,32 @@ CAUSES = {
 """The causes under which messages count that a gate keeps back (`rsb_bridge.route.gates`)."""
 INCOMPLETE = "incomplete"
 """The receiver gave these up because parts of them did not come."""
+LOSSES: dict[str, tuple[Cause, str]] = {
+    "queue full": (
+        Cause.QUEUE_FULL,
+        "more is published than the link carries: set max_rate, compression: zstd or priority",
+    ),
+    REPLACED: (
+        Cause.QUEUE_FULL,
+        "newer ones came before the link took them: set max_rate, compression: zstd or priority",
+    ),
+    "keep full": (
+        Cause.QUEUE_FULL,
+        "more waits for the link than there is room for: give its keep more megabytes",
+    ),
+    "too large": (
+        Cause.TOO_LARGE,
+        "they are larger than its transport carries",
+    ),
+    "publish failed": (Cause.NOT_PUBLISHED, "the receiving side cannot publish them; its log says why"),
+    "latched full": (Cause.NOT_PUBLISHED, "the receiving side keeps no more latched messages for this link"),
+    "slow subscriber": (Cause.NOT_PUBLISHED, "a subscriber there does not take its messages: restart it"),
+    "malformed": (Cause.NOT_PUBLISHED, "they are malformed: see what publishes them"),
+    "too complex": (Cause.NOT_PUBLISHED, "they have more strings and sequences than are checked there: send less"),
+    "expands too much": (Cause.NOT_PUBLISHED, "they expand too much there: send less, or without compression"),
+}
+"""Of losses by their causes in the ledger: the cause in the verdict, and the explanation with the remedy."""
+LOSS_CAUSES = frozenset({Cause.LOSSY, *(cause for cause, _ in LOSSES.values())})
 _ON_THE_WAY, _LINK_LOST = "lost on the way", "link lost"
 _LARGEST = 2**53
 """The largest count that is kept or sent; anything beyond it is a mistake."""

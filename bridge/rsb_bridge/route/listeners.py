@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.cdr.known_types import CLOCK
+from rsb_bridge.model.audience import Audience, Deaf
 from rsb_bridge.model.motion import may_move
 from rsb_bridge.model.names import is_bridge
-from rsb_bridge.model.qos import match_subscriptions
+from rsb_bridge.model.qos import clashes, match_subscriptions
+from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.verdict import Cause
+from rsb_bridge.model.wording import Wording
 from rsb_bridge.ros.announcements import BY_HAND
 from rsb_bridge.ros.ros_graph import agreed_type, type_hint
-from rsb_bridge.route.combined_verdict import node_names
+from rsb_bridge.route.combined_verdict import NODE_LENGTH, NODES, node_names
 from rsb_bridge.route.loop_filter import publishers_besides
-from rsb_bridge.route.topic_verdict import OF_MANY, audience
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Collection, Iterable
 
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.ros.ros_interface import Endpoint
@@ -29,6 +31,87 @@ _ASKED_EVERY = 0.9
 `link.graph_watch` looks once more, when the graph has settled."""
 _MATCHED_WITHIN = 2.0
 """s. A round figure: DDS matches a subscription that it lists within milliseconds."""
+_REASON_LENGTH = 200
+"""Characters for which a node is deaf: a report to the other side has room for hundreds of routes."""
+OF_MANY = frozenset(
+    {
+        "action_msgs/msg/GoalStatusArray",
+        "bond/msg/Status",
+        "diagnostic_msgs/msg/DiagnosticArray",
+        "rcl_interfaces/msg/Log",
+        "rcl_interfaces/msg/ParameterEvent",
+        "sensor_msgs/msg/JointState",
+        "tf2_msgs/msg/TFMessage",
+        "visualization_msgs/msg/Marker",
+        "visualization_msgs/msg/MarkerArray",
+    }
+)
+"""Types of topics that many nodes publish by design."""
+
+
+class DeafText(Wording):
+    """Reasons why DDS does not match a subscription with a publisher."""
+
+    TYPE = "its type is {asked}, and that of the messages {offered}: make them equal"
+    QOS = "it asks for {asked}, offered is {offered}: change its QoS"
+    UNMATCHED = "DDS does not match it: check its other policies, partition and security"
+
+
+class Mismatch(NamedTuple):
+    """A reason why a subscription does not hear a publisher.
+
+    Attributes:
+        cause: `Cause.TYPE_CONFLICT` or `Cause.QOS_INCOMPATIBLE`.
+        offered: the publisher's type, or its policies that do not suffice.
+        asked: the subscription's, in the same order.
+    """
+
+    cause: Cause
+    offered: tuple[str, ...]
+    asked: tuple[str, ...]
+
+
+def mismatch(type_name: str, offered: Qos, subscription: Endpoint) -> Mismatch | None:
+    """Return what keeps a subscription from hearing a publisher of a type and a QoS, or None if DDS matches them."""
+    if subscription.type_name != type_name:
+        return Mismatch(Cause.TYPE_CONFLICT, (type_name,), (subscription.type_name,))
+    found = clashes(offered, subscription.qos)
+    return Mismatch(Cause.QOS_INCOMPATIBLE, *zip(*found, strict=True)) if found else None
+
+
+def audience(type_name: str, offered: Qos, subscriptions: Iterable[Endpoint], count: int) -> Audience:
+    """Return who hears a publisher of a type and a QoS.
+
+    Args:
+        count: subscriptions that DDS has matched with it. DDS does not say which.
+    """
+    hearing: list[Endpoint] = []
+    deaf: set[tuple[str, str, str]] = set()
+    for each in subscriptions:
+        node = sanitize_text(each.node, NODE_LENGTH)
+        if (why := mismatch(type_name, offered, each)) is not None:
+            text = DeafText.TYPE if why.cause is Cause.TYPE_CONFLICT else DeafText.QOS
+            reason = text(asked=", ".join(why.asked), offered=", ".join(why.offered))
+            deaf.add((node, why.cause.value, sanitize_text(reason, _REASON_LENGTH)))
+        elif not count:
+            deaf.add((node, Cause.NONE.value, DeafText.UNMATCHED()))
+        else:
+            hearing.append(each)
+    return Audience(count, node_names(hearing), tuple(Deaf(*each) for each in sorted(deaf)[:NODES]))
+
+
+def no_subscriber(topic: str, domain: str | None, present: Collection[object] = ()) -> str:
+    """Says that nobody hears a topic, whether somebody subscribes to it or not.
+
+    Args:
+        domain: this side's (`Context.domain`), or None if it is the other side's subscribers that do not hear it.
+    """
+    where = "there" if domain is None else f"in domain {domain}"
+    return (
+        f"nothing from the bridge reaches the subscribers of {topic} {where}"
+        if present
+        else f"nobody subscribes to {topic} {where}"
+    )
 
 
 class Listeners:

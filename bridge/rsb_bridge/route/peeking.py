@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 # Round figures, which bound what looking costs a bridge: nothing was measured.
 LOOKERS = 32  # viewers at a time
 EVERY = 0.5  # s, at least, between two copies from one route
+LOOKS_FOR = 3.0  # s after a copy for which its viewer is still there: it asks again after a pause
 BYTES_A_SECOND = 16 << 20  # of all viewers together; one that would exceed it waits
 WAITS_AT_MOST = 10.0  # s; a viewer asks again after that, so that one that is gone does not keep its place
 _LATE_JOINER = ("late joiner",)  # differs from the names of all links
@@ -47,13 +48,20 @@ class PeekSlot:
     Attributes:
         wanted: whether a viewer waits, or there is a tap. The route checks only this while messages pass.
         free_at: s, from when on the next message may be copied.
+        changed: called when a viewer comes or goes, or the tap changes.
     """
 
     def __init__(self, tap: Tap | None = None) -> None:
         self.tap = tap
         self.wanted = tap is not None
         self.free_at = float("-inf")
+        self.changed: Callable[[], None] = lambda: None
         self._waiting: set[asyncio.Future[PeekedMessage]] = set()
+        self._looked_at = float("-inf")
+
+    def is_used(self, now: float) -> bool:
+        """Whether there is a tap, or a viewer has waited lately, at `now` (s)."""
+        return self.wanted or now - self._looked_at < LOOKS_FOR
 
     @property
     def is_awaited(self) -> bool:
@@ -63,6 +71,7 @@ class PeekSlot:
     def set_tap(self, tap: Tap | None) -> None:
         self.tap = tap
         self.wanted = tap is not None or self.is_awaited
+        self.changed()
 
     def put(self, message: PeekedMessage, now: float) -> None:
         waiting, self._waiting = self._waiting, set()
@@ -77,11 +86,14 @@ class PeekSlot:
         future: asyncio.Future[PeekedMessage] = asyncio.get_running_loop().create_future()
         self._waiting.add(future)
         self.wanted = True
+        self.changed()
         try:
             return await future
         finally:
             self._waiting.discard(future)
             self.wanted = self.tap is not None or self.is_awaited
+            self._looked_at = future.get_loop().time()
+            self.changed()
 
 
 class Peekable(Protocol):

@@ -163,6 +163,11 @@ class Throttle:
         self._due[publisher] = (due if 0 <= late < interval else stamp) + interval
         return True
 
+    def follow(self, due: int) -> None:
+        """Take over when (ns) the next message is due from a topic of the same beat: one passes now."""
+        if self._interval:
+            self._due[b""] = due
+
     def due(self, publisher: bytes) -> int:
         """Return when (ns, as stamps are) the next message of a publisher passes."""
         return self._due.get(publisher, 0)
@@ -311,7 +316,11 @@ def limits_changed(old: Propose, new: Propose) -> str:
     return ", ".join(changed + ([f"priority {before} → {after}"] if before != after else []))
 
 
-def _limit_text(value: float | Keep | None, key: TopicKey) -> str:
+def _limit_text(value: float | Keep | bool | str | None, key: TopicKey) -> str:
+    if key.value == "choice":
+        return "as the profile says" if value is None else "yes" if value else "no"
+    if key.value == "switch":
+        return "yes" if value else "no"
     if value is None or not (value or key.zero):
         return "none"
-    return str(value) if isinstance(value, Keep) else f"{value:g} {key.unit}"
+    return str(value) if isinstance(value, Keep | str) else f"{value:g} {key.unit}"

@@ -21,14 +21,15 @@ from rsb_bridge.route.combined_verdict import lasting, record_of
 from rsb_bridge.route.half import Carried
 from rsb_bridge.route.incoming_path import REPORTS_AFTER, IncomingPath
 from rsb_bridge.route.latched import LatchedFullError
+from rsb_bridge.route.lazy import LazyReceiver
 from rsb_bridge.route.ledger import reported_ledger
 from rsb_bridge.route.lifecycle import RouteEvent, RoutePhase
 from rsb_bridge.route.listeners import Listeners
 from rsb_bridge.route.message_check import MessageCheck
-from rsb_bridge.route.receiver_facts import ReceiverFacts, failure_of
 from rsb_bridge.route.rest_message import RestAfterArming
 from rsb_bridge.route.source_publishers import bounded
-from rsb_bridge.route.topic_flow import AgreedEnd, TopicFlow
+from rsb_bridge.route.topic_facts import ReceiverFacts, failure_of
+from rsb_bridge.route.topic_flow import TopicFlow
 from rsb_bridge.route.topic_verdict import OF_RECEIVER
 from rsb_bridge.wire.messages import Describe, Publishers, Ready, Refuse
 from rsb_bridge.wire.records import DeafRecord, ReceivedReport, SentReport
@@ -36,8 +37,8 @@ from rsb_bridge.wire.records import DeafRecord, ReceivedReport, SentReport
 if TYPE_CHECKING:
     import asyncio
 
-    from rsb_bridge.route.blocking_rules import Rules
     from rsb_bridge.route.crossing import Crossing
+    from rsb_bridge.route.half import Rules
     from rsb_bridge.route.idling import Signs
     from rsb_bridge.route.route import Route
 
@@ -69,25 +70,25 @@ class Receiver:
     outgoing: ClassVar[bool] = False
     duplex: ClassVar[bool] = False
     rules: ClassVar[Rules[Any]] = OF_RECEIVER
-    never_idle = False
 
     def __init__(self, route: Route) -> None:
-        self.route, self._end = route, AgreedEnd(route)
+        self.route = route
         self.carried: Carried[ReceivingChannel] = Carried()
         self.flow = TopicFlow(route, self.carried)
         self._last_report: ReceivedReport | None = None  # the last one of the present opening
-        self.rest = RestAfterArming(route, self._end)
+        self.rest = RestAfterArming(self.flow)
         self.check = MessageCheck(route.context, route.peer.budget.checks)
         self.path = IncomingPath(self.flow, self.rest, self.check)
         self.outputs = self.path.outputs
         self.deliver, self.restart_measuring = self.path.deliver, self.flow.restart_measuring
         self._before: tuple[str, ReceivedReport] | None = None
         self.listeners = Listeners(self.flow, self.outputs)
+        self.lazy = LazyReceiver(route, self.flow, self.outputs)
         self._received_before = 0
         self._expired_before = 0
         self._alive = False  # a publisher on the sending side, by its liveliness lease
         self._asserts_again: asyncio.TimerHandle | None = None
-        self.facts = ReceiverFacts(self.flow, self._end, self.path, self.listeners)
+        self.facts = ReceiverFacts(self.flow, self.path, self.listeners)
 
     # --- setting up
 
@@ -112,6 +113,7 @@ class Receiver:
             self.path.dropped.clear()
         self.path.unpacker.clear()
         self._alive = False
+        self.lazy.end()
         self.outputs.set_alive(False)
         self.flow.drivers.there = ()
 
@@ -150,10 +152,9 @@ class Receiver:
         newest: dict[bytes, int] = {}
         if first:
             newest = self.outputs.opened()
-            self._end.log_other(description.type)
-            self.route.log(
-                Level.INFO, EventCode.ROUTE_CONNECTED, f"← {self.route.transport.name} connected ({description.type})"
-            )
+            self.flow.end.log_other(description.type)
+            text = f"← {self.route.transport.name} connected ({description.type})"
+            self.route.log(Level.INFO, EventCode.ROUTE_CONNECTED, text)
         self.route.peer.send(
             Ready(route=self.route.id, sources=len(self.outputs), before=self._counted_before(), newest=newest)
         )
@@ -242,6 +243,11 @@ class Receiver:
         report = self.facts.report_now
         self.listeners.look_for_publishers(sends=report is None or report.publishers > 0)
         self.listeners.look()
+        self.lazy.tell()
+
+    @property
+    def rests(self) -> bool:
+        return self.lazy.rests
 
     def destroy(self) -> None:
         """Close its publishers. The end of the opening has begun the rest; `rest.close` lets that go on to its end."""
@@ -265,7 +271,7 @@ class Receiver:
         if self.route.link_full is not None:
             self.flow.full_at = now
         if self.route.age.only_newest or self.flow.left_out.is_on:
-            self.flow.judge_left_out(self.facts.ledger, now)
+            self.flow.left_out.judge(self.facts.ledger, now)
 
     def configure(self) -> None:
         self.flow.set_stale_after()
@@ -300,7 +306,7 @@ class Receiver:
         return after, report, audience, listeners.others, listeners.clocks, drivers, published_by
 
     def next_change(self, now: float, crossing: Crossing) -> float:
-        if self.flow.lateness.since is not None or self.flow.left_out.is_due or self.facts.sender_ledger.open:
+        if self.facts.ledger.open:
             return now
         counts = self.facts.silence_counts
         return self.flow.next_change(now, awaited=crossing.flows, counts=counts, polled=self._is_polled)
@@ -336,6 +342,7 @@ class Receiver:
         self.flow.drivers.told(report.drivers)
         self.route.wake()
         self.route.judged.receive(report.verdict, self.route.context.now())
+        self.lazy.told()
         peer = self.route.judged.peer
         self.route.notices.set_loop(peer.text if peer.cause == Cause.LOOP else "")
         left_out = peer.cause == Cause.TYPE_CONFLICT and peer.state is not State.DOWN
@@ -347,17 +354,14 @@ class Receiver:
         if ledger is None:
             self.route.notices.doubt(self.route.peer.instance, "the last plausible ones are shown")
         else:
-            self.facts.sender_ledger = ledger
+            self.facts.ledger = ledger
 
     def news(self) -> ReceivedReport | None:
-        """Return the report to send to the peer now, or None if nothing has changed.
-
-        While messages are in flight the same counts are sent again: the sender counts messages as lost that are not in
-        a report after some time.
-        """
         report = self._received_report()
         before, self._last_report = self._last_report, report
-        awaits = self.facts.sender_ledger.open and self.route.life.phase is RoutePhase.READY
+        # While messages are in flight the same counts are sent again: the sender counts as lost what is in no report
+        # after some time.
+        awaits = self.facts.ledger.open and self.route.life.phase is RoutePhase.READY
         if report == _with_latencies(before, report) and not awaits:
             return None
         verdict = lasting(report.verdict, self.route.verdict(), self.route.context.now())
@@ -374,6 +378,7 @@ class Receiver:
             newest=self.path.received + counts.lost if counts.newest is None else counts.newest,
             dropped=dict(self.path.dropped),
             subscribers=self.flow.audience.count,
+            wanted=self.lazy.wanted,
             subscriber_qos=self.listeners.subscriber_qos,
             type=self.listeners.hint[0],
             type_hash=self.listeners.hint[1],

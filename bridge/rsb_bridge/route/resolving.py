@@ -16,7 +16,7 @@ from rsb_bridge.model.qos import match_publishers
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.ros_graph import Sought, are_alike
-from rsb_bridge.route.topic_verdict import Elsewhere, named, no_publisher, nodes_by
+from rsb_bridge.route.combined_verdict import named, nodes_by
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.ros_interface import Endpoint
     from rsb_bridge.route.loop_filter import LoopFilter
     from rsb_bridge.route.route import Route
+
 _MOST_NODES, _MOST_TYPES = 3, 4  # named of each type, and in one sentence
 
 
@@ -35,6 +36,18 @@ class Resolved(NamedTuple):
     type_hash: str
     qos: Qos
     warning: str  # the publishers that are left out, for an operator, or empty
+
+
+class Elsewhere(NamedTuple):
+    """Where a topic without a publisher is published instead.
+
+    Attributes:
+        cause: `Cause.SIMILAR_NAME` or `Cause.PUBLISHED_THERE`.
+        text: for an operator, with the remedy as a question.
+    """
+
+    cause: Cause
+    text: str
 
 
 class UnresolvedError(Exception):
@@ -111,7 +124,7 @@ class Resolver:
 
     def no_publisher(self) -> str:
         """Return a text that says that the topic has no publisher."""
-        return no_publisher(self._proposal.topic, self._context.domain_id, self.elsewhere)
+        return no_publisher(self._proposal.topic, self._context.domain, self.elsewhere)
 
     @property
     def elsewhere(self) -> Elsewhere | None:
@@ -147,6 +160,12 @@ class Resolver:
         verb = "publishes" if len(nodes) == 1 else "publish"
         direction = "transmit" if route.spec.direction == "receive" else "receive"
         return Elsewhere(Cause.PUBLISHED_THERE, f"{named(nodes)} {verb} it on {where}: direction: {direction}?")
+
+
+def no_publisher(topic: str, domain: str, elsewhere: Elsewhere | None = None, *, gone: bool = False) -> str:
+    """Says that nobody publishes a topic, or no longer, in this side's domain (`Context.domain`)."""
+    hint = "" if elsewhere is None else f"; {elsewhere.text}"
+    return f"no publisher of {topic} in domain {domain}{' any more' if gone else ''}{hint}"
 
 
 def choose_type(

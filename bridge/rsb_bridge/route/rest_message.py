@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.ros_interface import Publisher, TopicSpec
     from rsb_bridge.route.route import Route
     from rsb_bridge.route.source_publishers import SourcePublishers
-    from rsb_bridge.route.topic_flow import AgreedEnd
+    from rsb_bridge.route.topic_flow import TopicFlow
 
     Mover = Publisher | SourcePublishers
     """What has published a message that moves the robot."""
@@ -240,9 +240,9 @@ class RestAfterArming:
         message: the rest, or None if none follows.
     """
 
-    def __init__(self, route: Route, end: AgreedEnd) -> None:
+    def __init__(self, flow: TopicFlow) -> None:
         self.message: RestMessage | None = None
-        self._route, self._end = route, end
+        self._route, self._end = flow.route, flow.end
 
     def prepare(self, spec: TopicSpec) -> None:
         """Have a rest that can follow messages of a spec.

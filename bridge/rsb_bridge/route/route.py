@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from functools import partial
-from typing import TYPE_CHECKING, Any, Protocol, Unpack, final
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Unpack, final
 
 import msgspec
 
@@ -39,15 +39,31 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.model.capacity import Fullness
     from rsb_bridge.model.keep import Keep
+    from rsb_bridge.model.session import Topic
     from rsb_bridge.model.verdict import Verdict
-    from rsb_bridge.route.entry import Entry
     from rsb_bridge.route.half import Half
     from rsb_bridge.route.idling import Signs, Timetable
     from rsb_bridge.telemetry.event_log import About
 
 
-_LASTS = frozenset({State.OK, State.WAITING, State.UNHEARD, State.PAUSED, State.STALE, State.STOPPED, State.DOWN})
+_LASTS = frozenset(
+    {
+        State.OK, State.WAITING, State.UNHEARD, State.PAUSED, State.RESTING, State.STALE, State.STOPPED, State.DOWN,
+    }
+)  # fmt: skip
 """States that last until something happens, or until silence has lasted too long."""
+
+
+class Entry(NamedTuple):
+    """One side's entry of a route.
+
+    Attributes:
+        topic: it with the client's names, as this side's session lists it or would list it.
+        proposal: it with the sender's and the receiver's names.
+    """
+
+    topic: Topic
+    proposal: Propose
 
 
 class Owner(Peer, Protocol):
@@ -422,8 +438,8 @@ class Route:
             return now
         # What is not open is proposed again, or given up. What it owes comes last: it takes longest to find out.
         restless = (
-            self.half.never_idle or self._verdict is None or self._verdict.state not in _LASTS or not self.meter.still
-            or self.arming.required or self.peer.linked != bool(self.id) or self.link_full is not None
+            self._verdict is None or self._verdict.state not in _LASTS or not self.meter.still or self.arming.required
+            or self.peer.linked != bool(self.id) or self.link_full is not None
             or self.peer.path.fault is not None or self.losses.reasons or self.half.facts.owing
         )  # fmt: skip
         return now if restless else min(self.judged.next_change, of_half)
@@ -488,7 +504,9 @@ class Route:
                 return Crossing.DISARMING
         if self.pausing.paused:
             return Crossing.PAUSED
-        return armed if self.connected or armed.is_unarmed else Crossing.NOT_OPEN
+        if not (self.connected or armed.is_unarmed):
+            return Crossing.NOT_OPEN
+        return Crossing.RESTING if self.half.rests else armed
 
     # --- verdict
 

@@ -23,13 +23,15 @@ from rsb_bridge.route.combined_verdict import lasting, node_names, record_of
 from rsb_bridge.route.half import Carried
 from rsb_bridge.route.health import Health
 from rsb_bridge.route.lateness import SendersDelay, delay_of_sender
+from rsb_bridge.route.lazy import LazySender
 from rsb_bridge.route.ledger import OUTAGE, RouteLedger
 from rsb_bridge.route.lifecycle import RouteEvent, RoutePhase
 from rsb_bridge.route.loop_filter import LoopFilter
+from rsb_bridge.route.renewal import Renewal
 from rsb_bridge.route.resolving import Resolver
-from rsb_bridge.route.sender_facts import SenderFacts
 from rsb_bridge.route.sending import OutgoingPath
-from rsb_bridge.route.topic_flow import AgreedEnd, TopicFlow
+from rsb_bridge.route.topic_facts import SenderFacts
+from rsb_bridge.route.topic_flow import TopicFlow
 from rsb_bridge.route.topic_subscription import TopicSubscription
 from rsb_bridge.route.topic_verdict import OF_SENDER
 from rsb_bridge.wire.headers import publisher_id
@@ -40,8 +42,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from rsb_bridge.channel.scheduler import SendingChannel
-    from rsb_bridge.route.blocking_rules import Rules
     from rsb_bridge.route.crossing import Crossing
+    from rsb_bridge.route.half import Rules
     from rsb_bridge.route.idling import Signs
     from rsb_bridge.route.route import Route
     from rsb_bridge.wire.framing import Message
@@ -62,10 +64,9 @@ class Sender:
     outgoing: ClassVar[bool] = True
     duplex: ClassVar[bool] = False
     rules: ClassVar[Rules[Any]] = OF_SENDER
-    never_idle = False
 
     def __init__(self, route: Route) -> None:
-        self.route, self._end = route, AgreedEnd(route)
+        self.route = route
         self.carried: Carried[SendingChannel] = Carried()  # to make a `Carried[…]` takes three calls more
         self.flow = TopicFlow(route, self.carried)
         self._last_report: SentReport | None = None  # the last one of the present opening
@@ -75,17 +76,16 @@ class Sender:
         self.loop_filter = LoopFilter(route)
         self.backlog = Backlog()
         self.restart_measuring = self.flow.restart_measuring
-        self.path = OutgoingPath(self.flow, self._end, self.counts, self.loop_filter, self.backlog)
+        self.path = OutgoingPath(self.flow, self.counts, self.loop_filter, self.backlog)
         route.rested.append(self.path.traffic.rested)
         self.subscription = TopicSubscription(route, self.path, self.loop_filter, self._look_who_is_present)
         self._unwanted = True  # since the last subscription, messages were not to cross for a while
+        self.lazy = LazySender(route, self.flow)
+        self._renewal = Renewal(route, self.subscription)
         self.resolver = Resolver(route)
         self.health = Health()
         self.delays = SendersDelay()
-        self.facts = SenderFacts(
-            self.flow, self._end, self.counts, self.loop_filter, self.backlog, self.path, self.subscription,
-            self.resolver, self.health,
-        )  # fmt: skip
+        self.facts = SenderFacts(self.flow, self.path, self.subscription, self.resolver, self.health)
 
     # --- setting up
 
@@ -105,13 +105,9 @@ class Sender:
             self.facts.kept_there = ready.newest.keys()
             self.route.age.publishers.since = None if described.qos.latched else self.route.context.stamps.now()
             spec = TopicSpec(self.route.topic, described.type, described.type_hash, described.qos)
-            self.subscription.begin(
-                spec,
-                automatic=self.route.proposal.qos is None,
-                expected_rate=self.route.spec.expected_rate,
-                known=ready.newest,
-            )
+            self.subscription.begin(spec, known=ready.newest)
             self.path.histories = self.subscription.histories
+        self.lazy.look()
         self.route.advance()
 
     def proceed(self) -> None:
@@ -121,56 +117,51 @@ class Sender:
 
     def _set_up(self) -> None:
         """Do the next steps that are possible: look for publishers, describe them, open the channel, subscribe."""
-        if not self.route.life.accepted or self.route.pausing.paused:
+        route, loops = self.route, self.loop_filter
+        if not route.life.accepted or route.pausing.paused:
             self.subscription.unsubscribe()
-            self._unwanted = self._unwanted or self.route.pausing.paused
-            self.counts.lose("paused", self.loop_filter.forget())  # nobody wants them when it is resumed
+            self._unwanted = self._unwanted or route.pausing.paused
+            self.counts.lose("paused", loops.forget())  # nobody wants them when it is resumed
             return
         self.path.unpause()
-        self.carried.endpoints = self.loop_filter.update(self.route.topic, self.route.remote_topic)
+        self.carried.endpoints = loops.update(route.topic, route.remote_topic)
         self.resolver.update(self.carried.endpoints)
-        if self._described is not None and self._described.sources != self.loop_filter.table.sources:
+        if self._described is not None and self._described.sources != loops.table.sources:
             # A further source needs no new subscription: only its own messages wait for the peer's answer.
-            self._describe(msgspec.structs.replace(self._described, sources=self.loop_filter.table.sources))
-        if self._described is not None and self.loop_filter.outdated(self.flow.qos):
-            self.route.request_reopen(
-                EventCode.ROUTE_SOURCES_CHANGED, "its messages come through other bridges than before"
-            )
+            self._describe(msgspec.structs.replace(self._described, sources=loops.table.sources))
+        before = self._described
+        if before is not None and loops.outdated(self.flow.qos):
+            route.request_reopen(EventCode.ROUTE_SOURCES_CHANGED, "its messages come through other bridges than before")
             return
-        self.route.notices.set_loop(self.loop_filter.loop(self.route.topic))
-        if self.route.notices.loop:
+        route.notices.set_loop(loops.loop(route.topic))
+        if route.notices.loop:
             self._leave_out()
             return
         described = self._resolve()
         if described is None:
-            if self.route.life.phase is RoutePhase.READY:
+            if route.life.phase is RoutePhase.READY:
                 self._look_who_is_present()
             return
-        if self._described is not None and described.type_hash != self._described.type_hash:
+        if before is not None and described.type_hash != before.type_hash:
             # A new opening, so that no message of the old type comes where the new one is published.
-            self.route.request_reopen(
-                EventCode.ROUTE_TYPE_CHANGED, f"its type has changed from {self._described.type} to {described.type}"
-            )
+            text = f"its type has changed from {before.type} to {described.type}"
+            route.request_reopen(EventCode.ROUTE_TYPE_CHANGED, text)
             return
         reliable = described.qos.reliability
-        if (
-            self._described is not None
-            and not self.route.transport.reliable
-            and reliable != self._described.qos.reliability
-        ):
+        if before is not None and not route.transport.reliable and reliable != before.qos.reliability:
             # Both ends of a channel over datagrams depend on it.
-            self.route.request_reopen(EventCode.ROUTE_RELIABILITY_CHANGED, f"its publishers offer {reliable} now")
+            route.request_reopen(EventCode.ROUTE_RELIABILITY_CHANGED, f"its publishers offer {reliable} now")
             return
-        if described != self._described:
+        if described != before:
             self.subscription.unsubscribe()
-            self.route.life.handle(RouteEvent.DESCRIBE)
+            route.life.handle(RouteEvent.DESCRIBE)
             self._describe(described)
-        if self.route.life.phase is not RoutePhase.READY:
+        if route.life.phase is not RoutePhase.READY:
             return
         self._look_who_is_present()
         if self.carried.channel is None:
-            self.route.peer.open_channel(self.route)
-        crossing = self.route.crossing
+            route.peer.open_channel(route)
+        crossing = route.crossing
         if crossing.flows:
             self._subscribe()
         elif crossing.is_held_back:
@@ -187,7 +178,7 @@ class Sender:
         self.counts.lossy = self.route.lossy
         self.route.settle_age()
         self.path.compose()  # what is latched, as its QoS says now, is asked its age later
-        self._end.log_other(self.carried.type_name)
+        self.flow.end.log_other(self.carried.type_name)
         self.loop_filter.table.described()
         self._told = None  # the peer may have new outputs
         self.route.peer.send(described)
@@ -224,9 +215,8 @@ class Sender:
         self._unwanted = False
         self.flow.silence.rearm(self.route.context.now())
         self.route.judge_again()
-        self.route.log(
-            Level.INFO, EventCode.ROUTE_CONNECTED, f"→ {self.route.transport.name} connected ({self.carried.type_name})"
-        )
+        text = f"→ {self.route.transport.name} connected ({self.carried.type_name})"
+        self.route.log(Level.INFO, EventCode.ROUTE_CONNECTED, text)
 
     def _end_subscription(self) -> None:
         self._told = self.path.histories = None
@@ -239,8 +229,7 @@ class Sender:
             return
         present = {}
         if (histories := self.subscription.histories) is not None:
-            gids = {endpoint.gid for endpoint in self.carried.endpoints}
-            histories.forget_gone(gids)
+            gids = histories.forget_gone({endpoint.gid for endpoint in self.carried.endpoints})
             depths = histories.depths()
             ids = islice(map(publisher_id, gids), MOST_PUBLISHERS)
             present = {each: depths.get(each, 0) for each in ids}
@@ -257,7 +246,6 @@ class Sender:
         self.counts.disarmed()
 
     def open(self) -> None:
-        """Begin a new opening."""
         self._last_report = None
         # What was refused had nothing to lose before this opening.
         self._unwanted = self._unwanted or bool(self.route.reopening.refused)
@@ -279,6 +267,12 @@ class Sender:
         self.facts.forget()
         self.flow.drivers.there = ()
         self.flow.audience = NOBODY
+        self.lazy.end()
+        self._renewal.end()
+
+    @property
+    def rests(self) -> bool:
+        return self.lazy.rests
 
     # --- messages
 
@@ -289,12 +283,9 @@ class Sender:
         return self.flow.silence.watch.after, report, self.resolver.unresolved, subscription.failure, lost, drivers
 
     def next_change(self, now: float, crossing: Crossing) -> float:
-        if self.flow.lateness.since is not None or self.flow.left_out.is_due or not self.path.traffic.still:
+        if not self.path.traffic.still or (self.backlog.exists and self.route.peer.linked):
             return now
-        if self.backlog.exists and self.route.peer.linked:
-            return now
-        awaited = crossing.flows or self.facts.lacks_publisher(crossing)
-        counts = self.facts.silence_counts
+        awaited, counts = crossing.flows or self.facts.lacks_publisher(crossing), self.facts.silence_counts
         changes = self.flow.next_change(now, awaited=awaited, counts=counts, polled=self._is_polled)
         return min(changes, self.health.next_change(now))
 
@@ -307,11 +298,8 @@ class Sender:
     @property
     def _profile_limits(self) -> bool:
         """Whether the link profile's limit is for it: it has none and may lose messages."""
-        return (
-            self.flow.qos is not None
-            and self.flow.qos.reliability == "best_effort"
-            and not self.route.proposal.max_rate
-        )
+        qos = self.flow.qos
+        return qos is not None and qos.reliability == "best_effort" and not self.route.proposal.max_rate
 
     def measure(self, now: float, crossing: Crossing, *, learns: bool) -> None:
         flows, ledger = crossing.flows, self.facts.ledger
@@ -319,14 +307,13 @@ class Sender:
         awaited = self.subscription.receives if flows else self.facts.lacks_publisher(crossing)
         # A latched topic may be silent for any time, unless an operator expects a rate.
         usual = None if self.flow.is_latched else self.route.meter.usual_rate
-        last = self.flow.silence.watch.quiet_since
         self.health.judge(
             self.route,
             ledger,
             now,
             self.carried.endpoints,
             usual_rate=usual,
-            quiet_since=last,
+            quiet_since=self.flow.silence.watch.quiet_since,
             flows=flows,
             awaited=awaited,
         )
@@ -339,12 +326,13 @@ class Sender:
         if self.route.link_full is not None:
             self.flow.full_at = now
         if self.route.age.only_newest or self.flow.left_out.is_on:
-            self.flow.judge_left_out(ledger, now)
+            self.flow.left_out.judge(ledger, now)
 
     def act(self, now: float, crossing: Crossing) -> None:
         self.route.limit.set_profile_rate((self.route.peer.profile.max_rate or 0.0) if self._profile_limits else 0.0)
         self.flow.act(now, awaited=crossing.flows or self.facts.lacks_publisher(crossing))
         self.subscription.tick()
+        self.lazy.look()
         if self.route.age.publishers.since is None and crossing.flows and not self.flow.is_latched:
             self._tick_clocks()
 
@@ -353,9 +341,8 @@ class Sender:
         late = self.route.age.late()
         # Only a new subscription has no message from before it, so that an earlier stamp proves a wrong clock.
         if late is not None and late.cause is Cause.PUBLISHER_STAMPS_OLD:
-            self.route.request_reopen(
-                EventCode.ROUTE_CLOCK_SET, "this side's clock was set, and publishers' stamps seem old"
-            )
+            text = "this side's clock was set, and publishers' stamps seem old"
+            self.route.request_reopen(EventCode.ROUTE_CLOCK_SET, text)
 
     def suspend(self) -> None:
         self.backlog.begin(self.counts.dropped[OUTAGE])
@@ -397,6 +384,7 @@ class Sender:
     def configure(self) -> None:
         self.flow.set_stale_after()
         self.path.compose()
+        self.lazy.look()
 
     # --- the ledger
 
@@ -424,13 +412,14 @@ class Sender:
         if report.latency is not None:
             self.delays.receive(report.latency, self.route.context.now())
         self.flow.latency.take_reported(report.latency_p50, report.latency_p99, report.jitter)
+        self._renewal.told(self.flow.audience.count, rests=self.rests)
+        self.lazy.told(wanted=report.wanted)
 
     def receiver_left(self) -> None:
         """Take the peer's last report for final, as it leaves with a goodbye."""
         self.counts.receiver_left()
 
     def news(self) -> SentReport | None:
-        """Return the report to send to the peer now, or None if nothing has changed."""
         ledger = self.facts.ledger
         report = SentReport(
             route=self.route.id,

@@ -14,12 +14,12 @@ from rsb_bridge.model.by_hand import END_NONE
 from rsb_bridge.model.clock import shifted
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import AUTO_DEPTH, AUTO_SECONDS, QUEUE_BYTES
+from rsb_bridge.route.beat import Beats
 from rsb_bridge.route.gates import NO_SAMPLE, chained, compose_when_switched, sending_gates, sifting
 from rsb_bridge.route.ledger import CAUSES, KEEP_FULL, OUTAGE, REPLACED
 from rsb_bridge.route.peeking import peeked
 from rsb_bridge.route.rate_limit import LastLater, LatestLater, Throttle
 from rsb_bridge.route.route import promised_keep, route_weight
-from rsb_bridge.route.topic_verdict import USE_TCP
 from rsb_bridge.telemetry.meters import Smoothed
 from rsb_bridge.wire.framing import CONTENT_LIMIT, HISTORY, MESSAGE_LIMIT, ZSTD, Budget, Message
 
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from rsb_bridge.route.history_depth import Histories, Sample
     from rsb_bridge.route.ledger import RouteLedger
     from rsb_bridge.route.loop_filter import LoopFilter
-    from rsb_bridge.route.topic_flow import AgreedEnd, TopicFlow
+    from rsb_bridge.route.topic_flow import TopicFlow
     from rsb_bridge.transport.transport import Transport
     from rsb_bridge.wire.messages import Propose
 
@@ -49,6 +49,9 @@ _SLOW_QUEUE_BYTES = 64 * 1024  # best effort on a slow transport: a second or tw
 _BATCH = 16
 _ZSTD_LEVEL = 3  # packs a map to 0.14 of its size in 2.4 ns a byte (bench/README.md)
 _PUBLISHER = attrgetter("header.publisher")
+
+USE_TCP = "use protocol: tcp"
+"""The remedy for messages that are lost on the way."""
 
 
 class QueueLimits(NamedTuple):
@@ -239,9 +242,9 @@ class Outbox:
         leaving: asked of messages right before the channel gets them.
     """
 
-    def __init__(self, flow: TopicFlow, end: AgreedEnd, ledger: RouteLedger, backlog: Backlog) -> None:
+    def __init__(self, flow: TopicFlow, ledger: RouteLedger, backlog: Backlog) -> None:
         self.leaving: Sieve[Message] | None = None
-        self._flow, self._end, self._carried = flow, end, flow.carried
+        self._flow, self._carried = flow, flow.carried
         self._route = route = flow.route
         self._automatic = route.proposal.qos is None
         self._ledger = ledger
@@ -370,7 +373,7 @@ class Outbox:
             size = min(size, self._queue.room())
         # A command is a state: after a stall, a robot would follow all the old ones before the present one.
         if route.age.only_newest or (
-            route.arming.required and self._end.of(self._carried.type_name) not in ("", END_NONE)
+            route.arming.required and self._flow.end.of(self._carried.type_name) not in ("", END_NONE)
         ):
             return QueueLimits(1, 0.0, size)
         self._overload.judge(now, self._queue.oldest_since, len(self._queue), channel.still(now))
@@ -457,24 +460,23 @@ class OutgoingPath:
 
     Attributes:
         traffic: the messages that the topic wants to send.
+        unpause: sends the latched messages that have become due while the route was paused.
         histories: of a latched topic's publishers in the present opening, or None for a volatile topic.
         gates: all that are on.
     """
 
-    def __init__(
-        self, flow: TopicFlow, end: AgreedEnd, ledger: RouteLedger, loop_filter: LoopFilter, backlog: Backlog
-    ) -> None:
+    def __init__(self, flow: TopicFlow, ledger: RouteLedger, loop_filter: LoopFilter, backlog: Backlog) -> None:
         self.histories: Histories | None = None
         self._flow, self._carried = flow, flow.carried
         self._route = route = flow.route
         self._context = context = route.context
-        self._ledger = ledger
-        self._loop_filter = loop_filter
+        self.ledger, self.loop_filter, self.backlog = ledger, loop_filter, backlog
         self.traffic = TrafficMeter(context.now())
         self._throttle = Throttle(route.limit.rate)
         self._latest_later = LatestLater(context.loop, self._throttle, self._send_latched, route.pausing)
+        self.unpause = self._latest_later.resume
         self._last_later = LastLater(context.loop, self._throttle, self._pass_last)
-        self._outbox = Outbox(flow, end, ledger, backlog)
+        self._outbox = Outbox(flow, ledger, backlog)
         self._compressor = zstandard.ZstdCompressor(_ZSTD_LEVEL) if route.proposal.compression == "zstd" else None
         compose_when_switched(route, self.compose)
 
@@ -485,8 +487,9 @@ class OutgoingPath:
             self._last_later.flush()
             self._throttle.limit(rate)
         self._route.weight = route_weight(self._route.proposal, armed=self._route.arming.required)
+        beat = self._context.shared(Beats).join(self._route, self._flow, self._throttle, self.compose)
         self.gates = gates = sending_gates(
-            self._flow, self._ledger, self._throttle, self._last_later, self._loop_filter, self._outbox.fitting
+            self._flow, self.ledger, self._throttle, self._last_later, self.loop_filter, self._outbox.fitting, beat
         )
         self._batch = chained(gates.batch)
         self._arriving = sifting(*gates.arriving)
@@ -504,7 +507,7 @@ class OutgoingPath:
         if self._route.idle:
             self._route.wake()
         if self._batch is not None and (why := self._batch(NO_SAMPLE, self._context.now())) is not None:
-            self._ledger.lose(CAUSES[why], len(batch))
+            self.ledger.lose(CAUSES[why], len(batch))
             return
         if self._stamped is not None:
             batch = self._stamped(batch)
@@ -515,14 +518,14 @@ class OutgoingPath:
     def too_late(self, batch: Sequence[RawMessage]) -> None:
         """Drop messages that come after their opening."""
         self._route.wake()
-        self._ledger.lose("link lost", len(batch))
+        self.ledger.lose("link lost", len(batch))
 
     # --- of a volatile topic
 
     def receive(self, batch: Sequence[RawMessage]) -> None:
         """Receive messages that do not loop, oldest first."""
         if self.histories is not None:
-            taken, ledger = self.histories.receive(batch), self._ledger
+            taken, ledger = self.histories.receive(batch), self.ledger
             ledger.offered += taken.new
             ledger.again += taken.again
             ledger.known_there += taken.known
@@ -531,7 +534,7 @@ class OutgoingPath:
             return
         if self._flow.peek_slot.wanted:
             self._show(batch)
-        self._ledger.offered += len(batch)
+        self.ledger.offered += len(batch)
         if self._sourced is not None:
             batch = self._sourced(batch)
         self._send_volatile(batch)
@@ -541,8 +544,8 @@ class OutgoingPath:
         route, now = self._route, self._context.now()
         stopped = self._batch is not None and self._batch(NO_SAMPLE, now) is not None
         # Its publisher may have moved behind another bridge meanwhile.
-        if route.pausing.paused or stopped or message.gid not in self._loop_filter.table.flags:
-            self._ledger.throttled += 1
+        if route.pausing.paused or stopped or message.gid not in self.loop_filter.table.flags:
+            self.ledger.throttled += 1
         else:
             self._send_volatile((message,))
 
@@ -551,7 +554,7 @@ class OutgoingPath:
             return
         route = self._route
         self.traffic.offered += len(batch)
-        sources, arming = self._loop_filter.table.flags, route.arming
+        sources, arming = self.loop_filter.table.flags, route.arming
         # Asked once for the batch: nearly all topics are plain, and their messages save two calls.
         plain = self._compressor is None and not arming.required
         messages: list[Message] = []
@@ -597,13 +600,13 @@ class OutgoingPath:
         if self._flow.peek_slot.wanted and samples:
             self._show([each.message for each in samples])
         admitted, left_out = self._latest_later.admit(samples)
-        self._ledger.throttled += left_out
+        self.ledger.throttled += left_out
         self.traffic.offered += len(admitted)
         self._send_latched(admitted)
 
     def _send_latched(self, samples: Sequence[Sample]) -> None:
         samples = self._kept(samples)
-        sources = self._loop_filter.table.flags
+        sources = self.loop_filter.table.flags
         for publisher, group in groupby(samples, _PUBLISHER):
             messages: list[Message] = []
             size = depth = 0
@@ -626,7 +629,7 @@ class OutgoingPath:
         route, traffic, outbox = self._route, self.traffic, self._outbox
         channel = self._carried.channel
         if channel is None or not channel.ready or not route.life.accepted:
-            self._ledger.drop("link lost", len(messages))
+            self.ledger.drop("link lost", len(messages))
             return
         if not messages:
             return
@@ -655,10 +658,6 @@ class OutgoingPath:
     def resume(self) -> None:
         """Go on, as the link is back."""
         self._outbox.resume(self._context.now())
-
-    def unpause(self) -> None:
-        """Send the latched messages that have become due while the route was paused."""
-        self._latest_later.resume()
 
     def clear_later(self) -> int:
         """Drop the messages that wait for the rate limit, and return their number."""

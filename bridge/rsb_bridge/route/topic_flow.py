@@ -15,7 +15,7 @@ from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.drivers import Drivers
 from rsb_bridge.route.idling import POLLED_EVERY
 from rsb_bridge.route.lateness import LateWatch
-from rsb_bridge.route.left_out import LeftOut
+from rsb_bridge.route.ledger import OUTAGE, REPLACED
 from rsb_bridge.route.peeking import PeekSlot
 from rsb_bridge.telemetry.meters import LatencyMeter, StaleWatch
 
@@ -51,6 +51,9 @@ _LATENCY_TICKS = 10  # seconds of messages that the shown latency is of: so many
 MEASURED_FOR = 6.0  # s of lateness or loss after which a full link has been noticed
 _DRAINS_FOR = 60.0  # s for which messages may be late or lost because their link was full: a round figure
 _SILENT = State.STALE, State.STOPPED
+# Of commands that were left out. Round figures.
+_SETTLED = 3.0  # s without a further one: what was in transit is reported a second after the link is back
+_LONGEST = 60.0  # s after which a link that goes on carrying too little is told, too
 
 
 class SilenceWatch:
@@ -108,6 +111,48 @@ class SilenceWatch:
         return self.watch.quiet_since + self.watch.after if self.watch.after else math.inf
 
 
+class LeftOut:
+    """Tells operators of commands that were left out, as they came late or a newer one followed: one line a gap.
+
+    Both sides say the same, as both have the sender's ledger.
+
+    Attributes:
+        is_on: whether the topic's messages may not move a robot late.
+    """
+
+    is_on = False
+    _told = _count = 0
+    _since = _grew_at = 0.0
+
+    def __init__(self, route: Route) -> None:
+        self._route = route
+
+    @property
+    def is_due(self) -> bool:
+        """Whether there are some that nobody was told of."""
+        return self._count > self._told
+
+    def judge(self, ledger: Ledger, now: float) -> None:
+        """Look at the route's ledger, once a second while commands may be left out."""
+        route, peer = self._route, self._route.peer
+        count = ledger.expired + ledger.dropped.get(OUTAGE, 0) + ledger.dropped.get(REPLACED, 0)
+        was_on, self.is_on = self.is_on, route.age.only_newest
+        if not (was_on and self.is_on) or count < self._count:  # or another process has begun to count
+            self._told = self._count = count
+            return
+        if count > self._count:
+            if not self.is_due:
+                self._since = now
+            self._count, self._grew_at = count, now
+        lasts = now - self._grew_at < _SETTLED and now - self._since < _LONGEST
+        # Until the link carries again, more may be left out.
+        if not self.is_due or lasts or not peer.linked or peer.keepalive.in_doubt:
+            return
+        left_out, self._told = count - self._told, count
+        text = f"{left_out:,} late commands left out; max_age: none would have them followed"
+        route.log(Level.WARNING, EventCode.ROUTE_COMMANDS_LEFT_OUT, text)
+
+
 class AgreedEnd:
     """What the receiving side publishes once an arming ends, as both sides' sessions want it."""
 
@@ -151,6 +196,7 @@ class TopicFlow:
         carried: of its half.
         qos: of the bridge's endpoints on both sides, or None if unknown.
         audience: the final subscriptions, as far as this half knows.
+        end: how an arming ends.
         drivers: the publishers of what moves a robot, on both sides.
         peek_slot: takes the next message for operators who look at the topic.
         lateness: watches for messages that take too long.
@@ -165,12 +211,13 @@ class TopicFlow:
         self.qos: Qos | None
         self.knows("", "", None)
         self.audience = NOBODY
+        self.end = AgreedEnd(route)
         self.drivers = Drivers(route, carried)
         route.rested.append(self.drivers.rested)
         self.latency = LatencyMeter(_LATENCY_TICKS)
         self.silence = SilenceWatch(self.route.log, context.now())
         self.lateness = LateWatch()
-        self.left_out = LeftOut()
+        self.left_out = LeftOut(route)
         self.flows_since = context.now()
         self.full_at: float | None = None
         self.silence.configure(route.spec, context.session)  # a route that is made is awake
@@ -244,13 +291,15 @@ class TopicFlow:
         return self.route.proposal.keep is not None or self.qos is None or self.qos.history == "keep_all"
 
     def next_change(self, now: float, *, awaited: bool, counts: bool, polled: bool) -> float:
-        """Return when (s) something changes by itself next or infinity.
+        """Return when (s) something changes by itself next, `now` if it may at any moment, or infinity.
 
         Args:
             awaited: whether messages are missing if none come.
             counts: whether this half judges silence.
             polled: whether something may change that is neither one of the signs nor has a time.
         """
+        if self.lateness.since is not None or self.left_out.is_due:
+            return now
         changes = [math.inf]
         if awaited and counts and now < self.silence.due:
             changes.append(self.silence.due)
@@ -260,12 +309,6 @@ class TopicFlow:
             # Routes that came together do not wake together.
             changes.append(now + self.route.context.random.uniform(POLLED_EVERY / 2, POLLED_EVERY))
         return min(changes)
-
-    def judge_left_out(self, ledger: Ledger, now: float) -> None:
-        """Tell of commands that were left out; called once a second while they may be."""
-        route = self.route
-        linked = route.peer.linked and not route.peer.keepalive.in_doubt
-        self.left_out.judge(ledger, now, route.log, counts=route.age.only_newest, linked=linked)
 
     def act(self, now: float, *, awaited: bool) -> None:
         """Do what follows from the new verdict."""

@@ -72,8 +72,7 @@ class TopicSubscription:
         self._loop_filter = loop_filter
         self._type = TypeUse(context.ros, route.peer.budget.types)
         self._found = found
-        self._automatic = False
-        self._expected_rate: float | None = None
+        self._is_automatic = route.proposal.qos is None  # depths are chosen here
         self._receiver = _Receiver(path.offer)
         self._subscription: LastingSubscription | None = None
         self._depth = 0
@@ -84,17 +83,13 @@ class TopicSubscription:
 
     # --- the subscription
 
-    def begin(
-        self, spec: TopicSpec, *, automatic: bool, expected_rate: float | None, known: Mapping[bytes, int]
-    ) -> None:
+    def begin(self, spec: TopicSpec, known: Mapping[bytes, int]) -> None:
         """Begin an opening. Subscribe to nothing yet.
 
         Args:
-            automatic: whether depths are chosen here instead of by the QoS.
-            expected_rate: Hz, as an operator gave it; 0 or None if not given.
             known: for each publisher of a latched topic, the number of the newest message that the peer has.
         """
-        self.spec, self._automatic, self._expected_rate = spec, automatic, expected_rate
+        self.spec = spec
         # A new one: what is still queued for the former one is of an earlier opening, and so are the losses until now.
         self._receiver = _Receiver(self._path.offer)
         self._lost_seen = self._lost
@@ -105,7 +100,7 @@ class TopicSubscription:
                 self._probe,
                 self._path.emit,
                 self._found,
-                depth=0 if automatic else kept,
+                depth=0 if self._is_automatic else kept,
                 lifespan=spec.qos.lifespan,
                 known=known,
                 taken=self._taken,
@@ -137,6 +132,12 @@ class TopicSubscription:
             self._subscription.close()
             self._subscription = None
         self._type.end()
+
+    def renew(self) -> None:
+        """Subscribe anew, if it is subscribed; what is published meanwhile is left out on purpose."""
+        if self.receives and self._subscription is not None:
+            self.numbers.gap = Untaken.UNSUBSCRIBED
+            self._subscription.renew()
 
     def close(self) -> int:
         """End the opening, drop the messages that the histories hold, and return their number."""
@@ -208,7 +209,7 @@ class TopicSubscription:
     def _is_deepened(self) -> bool:
         """Whether the depth is chosen here: neither an operator has, nor are all messages kept anyway."""
         qos = self.spec.qos if self.spec is not None else None
-        return self._automatic and qos is not None and not qos.latched and qos.history != "keep_all"
+        return self._is_automatic and qos is not None and not qos.latched and qos.history != "keep_all"
 
     def _qos(self) -> Qos:
         assert self.spec is not None
@@ -217,7 +218,7 @@ class TopicSubscription:
             return msgspec.structs.replace(qos, history="keep_all")  # each publisher keeps what it keeps
         if not self._is_deepened:
             return qos
-        rate = meter.usual_rate or meter.rate or self._expected_rate or None
+        rate = meter.usual_rate or meter.rate or self._route.spec.expected_rate or None
         # A bridge that stood still gets all at once, and what it promised to keep must not be lost then.
         keep = promised_keep(self._route)
         size = meter.bytes / meter.count if meter.count else 0.0

@@ -1,37 +1,34 @@
-"""The stages and the verdict of a topic's half: rules that only read it."""
+"""The verdict of a topic's half: rules that only read its facts."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar
+from typing import TYPE_CHECKING
 
-from rsb_bridge.model.audience import Audience, Deaf
 from rsb_bridge.model.names import is_bridge
 from rsb_bridge.model.qos import clashes
 from rsb_bridge.model.snapshot import State
-from rsb_bridge.model.text import join_first, sanitize_text
+from rsb_bridge.model.text import join_first
 from rsb_bridge.model.verdict import LASTING, Cause, Verdict
-from rsb_bridge.model.wording import Wording
 from rsb_bridge.route.age import expired_verdict
-from rsb_bridge.route.blocking_rules import ACCEPTED, JudgedHalf, first_missing
-from rsb_bridge.route.combined_verdict import NODE_LENGTH, NODES, node_names
+from rsb_bridge.route.blocking_rules import ACCEPTED, first_missing
+from rsb_bridge.route.combined_verdict import NAMED, named
+from rsb_bridge.route.crossing import Crossing
 from rsb_bridge.route.lateness import late_verdict
-from rsb_bridge.route.ledger import REPLACED
+from rsb_bridge.route.ledger import LOSS_CAUSES, LOSSES
+from rsb_bridge.route.listeners import OF_MANY, mismatch, no_subscriber
+from rsb_bridge.route.resolving import no_publisher
+from rsb_bridge.route.sending import USE_TCP, remedy_for_size
 from rsb_bridge.telemetry.watches import FAST_ABOVE, LATELY
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable
+    from collections.abc import Collection, Iterable
 
     from rsb_bridge.model.qos import Qos
-    from rsb_bridge.model.snapshot import Driver, Stage
+    from rsb_bridge.model.snapshot import Driver
     from rsb_bridge.ros.ros_interface import Endpoint
-    from rsb_bridge.route.blocking_rules import Rules
-    from rsb_bridge.route.catching_up import Backlog
-    from rsb_bridge.route.crossing import Crossing
-    from rsb_bridge.route.health import Health
-    from rsb_bridge.route.lateness import Late
+    from rsb_bridge.route.half import Rules
+    from rsb_bridge.route.topic_facts import ReceiverFacts, SenderFacts, TopicFacts
 
-USE_TCP = "use protocol: tcp"
-"""The remedy for messages that are lost on the way."""
 STOPPED_PUBLISHING = ("has stopped publishing, or died", "have stopped publishing, or died")
 PUBLISHED_NOTHING = ("has published nothing yet", "have published nothing yet")
 NOTHING_SINCE_OPENED = (
@@ -47,207 +44,6 @@ NOT_MATCHED = (
     "do not match the bridge: their partition, ownership or key differs",
 )
 """Verbs for one silent publisher, and for several."""
-_NAMED = 3
-"""Nodes that a sentence names."""
-OF_MANY = frozenset(
-    {
-        "action_msgs/msg/GoalStatusArray",
-        "bond/msg/Status",
-        "diagnostic_msgs/msg/DiagnosticArray",
-        "rcl_interfaces/msg/Log",
-        "rcl_interfaces/msg/ParameterEvent",
-        "sensor_msgs/msg/JointState",
-        "tf2_msgs/msg/TFMessage",
-        "visualization_msgs/msg/Marker",
-        "visualization_msgs/msg/MarkerArray",
-    }
-)
-"""Types of topics that many nodes publish by design."""
-_REASON_LENGTH = 200
-"""Characters for which a node is deaf: a report to the other side has room for hundreds of routes."""
-
-_LOSSES: dict[str, tuple[Cause, str]] = {
-    "queue full": (
-        Cause.QUEUE_FULL,
-        "more is published than the link carries: set max_rate, compression: zstd or priority",
-    ),
-    REPLACED: (
-        Cause.QUEUE_FULL,
-        "newer ones came before the link took them: set max_rate, compression: zstd or priority",
-    ),
-    "keep full": (
-        Cause.QUEUE_FULL,
-        "more waits for the link than there is room for: give its keep more megabytes",
-    ),
-    "too large": (
-        Cause.TOO_LARGE,
-        "they are larger than its transport carries",
-    ),
-    "publish failed": (Cause.NOT_PUBLISHED, "the receiving side cannot publish them; its log says why"),
-    "latched full": (Cause.NOT_PUBLISHED, "the receiving side keeps no more latched messages for this link"),
-    "slow subscriber": (Cause.NOT_PUBLISHED, "a subscriber there does not take its messages: restart it"),
-    "malformed": (Cause.NOT_PUBLISHED, "they are malformed: see what publishes them"),
-    "too complex": (Cause.NOT_PUBLISHED, "they have more strings and sequences than are checked there: send less"),
-    "expands too much": (Cause.NOT_PUBLISHED, "they expand too much there: send less, or without compression"),
-}
-LOSS_CAUSES = frozenset({Cause.LOSSY, *(cause for cause, _ in _LOSSES.values())})
-
-
-class JudgedTopic(JudgedHalf, Protocol):
-    """One half of a topic's route, as its rules read it."""
-
-    flow: Any
-    carried: Any
-
-    def stages(self) -> tuple[Stage, ...]: ...
-
-    def stale_since(self, crossing: Crossing) -> float | None: ...
-
-    def late(self) -> Late | None: ...
-
-
-class SendingTopic(JudgedTopic, Protocol):
-    """The sending half of a topic's route."""
-
-    health: Health
-    backlog: Backlog
-
-    @property
-    def unmatched(self) -> bool: ...
-
-    @property
-    def subscribe_failed(self) -> str: ...
-
-    @property
-    def unresolved(self) -> Cause | None: ...
-
-    def why_unresolved(self) -> str: ...
-
-    @property
-    def elsewhere(self) -> Elsewhere | None: ...
-
-    @property
-    def has_sent(self) -> bool: ...
-
-    @property
-    def loss_unexplained(self) -> bool: ...
-
-    @property
-    def malformed(self) -> str: ...
-
-    def datagrams(self) -> int: ...
-
-    def remedy_for_size(self) -> str: ...
-
-
-class ReceivingTopic(JudgedTopic, Protocol):
-    """The receiving half of a topic's route."""
-
-    listeners: Any
-    report_now: Any
-
-    @property
-    def publisher_nodes(self) -> tuple[str, ...]: ...
-
-
-class Elsewhere(NamedTuple):
-    """Where a topic without a publisher is published instead.
-
-    Attributes:
-        cause: `Cause.SIMILAR_NAME` or `Cause.PUBLISHED_THERE`.
-        text: for an operator, with the remedy as a question.
-    """
-
-    cause: Cause
-    text: str
-
-
-TopicT = TypeVar("TopicT", bound=JudgedTopic)
-
-
-class DeafText(Wording):
-    """Reasons why DDS does not match a subscription with a publisher."""
-
-    TYPE = "its type is {asked}, and that of the messages {offered}: make them equal"
-    QOS = "it asks for {asked}, offered is {offered}: change its QoS"
-    UNMATCHED = "DDS does not match it: check its other policies, partition and security"
-
-
-class Mismatch(NamedTuple):
-    """A reason why a subscription does not hear a publisher.
-
-    Attributes:
-        cause: `Cause.TYPE_CONFLICT` or `Cause.QOS_INCOMPATIBLE`.
-        offered: the publisher's type, or its policies that do not suffice.
-        asked: the subscription's, in the same order.
-    """
-
-    cause: Cause
-    offered: tuple[str, ...]
-    asked: tuple[str, ...]
-
-
-def mismatch(type_name: str, offered: Qos, subscription: Endpoint) -> Mismatch | None:
-    """Return what keeps a subscription from hearing a publisher of a type and a QoS, or None if DDS matches them."""
-    if subscription.type_name != type_name:
-        return Mismatch(Cause.TYPE_CONFLICT, (type_name,), (subscription.type_name,))
-    found = clashes(offered, subscription.qos)
-    return Mismatch(Cause.QOS_INCOMPATIBLE, *zip(*found, strict=True)) if found else None
-
-
-def audience(type_name: str, offered: Qos, subscriptions: Iterable[Endpoint], count: int) -> Audience:
-    """Return who hears a publisher of a type and a QoS.
-
-    Args:
-        count: subscriptions that DDS has matched with it. DDS does not say which.
-    """
-    hearing: list[Endpoint] = []
-    deaf: set[tuple[str, str, str]] = set()
-    for each in subscriptions:
-        node = sanitize_text(each.node, NODE_LENGTH)
-        if (why := mismatch(type_name, offered, each)) is not None:
-            text = DeafText.TYPE if why.cause is Cause.TYPE_CONFLICT else DeafText.QOS
-            reason = text(asked=", ".join(why.asked), offered=", ".join(why.offered))
-            deaf.add((node, why.cause.value, sanitize_text(reason, _REASON_LENGTH)))
-        elif not count:
-            deaf.add((node, Cause.NONE.value, DeafText.UNMATCHED()))
-        else:
-            hearing.append(each)
-    return Audience(count, node_names(hearing), tuple(Deaf(*each) for each in sorted(deaf)[:NODES]))
-
-
-def no_publisher(topic: str, domain_id: int, elsewhere: Elsewhere | None = None, *, gone: bool = False) -> str:
-    """Says that nobody publishes a topic, or no longer."""
-    hint = "" if elsewhere is None else f"; {elsewhere.text}"
-    return f"no publisher of {topic} in domain {domain_id}{' any more' if gone else ''}{hint}"
-
-
-def no_subscriber(topic: str, domain_id: int | None, present: Collection[object] = ()) -> str:
-    """Says that nobody hears a topic, whether somebody subscribes to it or not.
-
-    Args:
-        domain_id: this side's, or None if it is the other side's subscribers that do not hear it.
-    """
-    where = "there" if domain_id is None else f"in domain {domain_id}"
-    return (
-        f"nothing from the bridge reaches the subscribers of {topic} {where}"
-        if present
-        else f"nobody subscribes to {topic} {where}"
-    )
-
-
-def named(nodes: Iterable[str]) -> str:
-    """``/a``, ``/a and /b``, ``/a, /b, /c and 2 more``."""
-    return join_first(sorted({node or "a node that is not known yet" for node in nodes}), _NAMED) or "nobody"
-
-
-def nodes_by(endpoints: Iterable[Endpoint], what: Callable[[Endpoint], str]) -> dict[str, set[str]]:
-    """Group endpoints' nodes by a property of the endpoint. Endpoints without it are left out."""
-    nodes: dict[str, set[str]] = {}
-    for each in endpoints:
-        if key := what(each):
-            nodes.setdefault(key, set()).add(each.node)
-    return dict(sorted(nodes.items()))
 
 
 def types_and_nodes(endpoints: Iterable[Endpoint]) -> str:
@@ -255,23 +51,23 @@ def types_and_nodes(endpoints: Iterable[Endpoint]) -> str:
     nodes: dict[str, list[str]] = {}
     for endpoint in endpoints:
         nodes.setdefault(endpoint.type_name, []).append(endpoint.node)
-    return join_first([f"{named(who)} has {type_name}" for type_name, who in sorted(nodes.items())], _NAMED)
+    return join_first([f"{named(who)} has {type_name}" for type_name, who in sorted(nodes.items())], NAMED)
 
 
 # --- either side
 
 
-def _expired(half: JudgedTopic, crossing: Crossing) -> Verdict | None:
+def _expired(half: TopicFacts, crossing: Crossing) -> Verdict | None:
     expired = half.route.age.late() if crossing.flows else None
     return None if expired is None else expired_verdict(expired)
 
 
-def _late(half: JudgedTopic, crossing: Crossing) -> Verdict | None:
+def _late(half: TopicFacts, crossing: Crossing) -> Verdict | None:
     late = half.late() if crossing.flows else None
     return None if late is None else late_verdict(late)
 
 
-def _several(half: JudgedTopic, _: Crossing) -> Verdict | None:
+def _several(half: TopicFacts, _: Crossing) -> Verdict | None:
     drivers = half.flow.drivers
     if not (drivers.here or drivers.there) or not (several := drivers.several):
         return None
@@ -279,7 +75,7 @@ def _several(half: JudgedTopic, _: Crossing) -> Verdict | None:
     return Verdict(State.OK, Cause.SEVERAL_PUBLISHERS, text)
 
 
-def _shared(half: SendingTopic, _: Crossing) -> Verdict | None:
+def _shared(half: SenderFacts, _: Crossing) -> Verdict | None:
     if not half.route.meter.regular or half.carried.type_name in OF_MANY or half.flow.drivers.are_watched:
         return None
     type_name = half.carried.type_name
@@ -295,18 +91,18 @@ def driver_names(drivers: Collection[Driver]) -> str:
     both = len({each.here for each in drivers}) > 1
     where = {True: " here" if both else "", False: " there"}
     names = ("messages by hand" if each.by_hand else each.name or "a node that is not known yet" for each in drivers)
-    return join_first([name + where[each.here] for name, each in zip(names, drivers, strict=True)], _NAMED)
+    return join_first([name + where[each.here] for name, each in zip(names, drivers, strict=True)], NAMED)
 
 
 # --- the sending side
 
 
-def _subscription(half: SendingTopic, _: Crossing) -> Verdict | None:
-    failure = half.subscribe_failed
+def _subscription(half: SenderFacts, _: Crossing) -> Verdict | None:
+    failure = half.subscription.failure
     return Verdict(State.DOWN, Cause.SUBSCRIBE_FAILED, failure) if failure else None
 
 
-def _publishers_qos(half: SendingTopic, _: Crossing) -> Verdict | None:
+def _publishers_qos(half: SenderFacts, _: Crossing) -> Verdict | None:
     qos = half.flow.qos
     if qos is None or not half.route.life.described:
         return None
@@ -326,28 +122,28 @@ def _publishers_qos(half: SendingTopic, _: Crossing) -> Verdict | None:
     return Verdict(State.DOWN if all_of_them else State.UNHEARD, Cause.QOS_INCOMPATIBLE, text)
 
 
-def _publishers_types(half: SendingTopic, _: Crossing) -> Verdict | None:
+def _publishers_types(half: SenderFacts, _: Crossing) -> Verdict | None:
     left_out = half.route.notices.warning
     return Verdict(State.UNHEARD, Cause.TYPE_CONFLICT, left_out) if left_out else None
 
 
-def _unresolved(half: SendingTopic, crossing: Crossing) -> Verdict | None:
+def _unresolved(half: SenderFacts, crossing: Crossing) -> Verdict | None:
     if crossing.flows or not half.route.life.accepted or (cause := half.unresolved) is None:
         return None
     if cause is Cause.NO_PUBLISHER:
         cause = _nobody(half)
     state = State.DOWN if cause is Cause.TYPE_CONFLICT else State.WAITING
-    return Verdict(state, cause, half.why_unresolved())
+    return Verdict(state, cause, half.resolver.why())
 
 
-def _lossy(half: SendingTopic, crossing: Crossing) -> Verdict | None:
+def _lossy(half: SenderFacts, crossing: Crossing) -> Verdict | None:
     loss = half.health.losses.loss
     if loss is None:
         return None
     expired = half.route.age.late() if crossing.flows else None
     if expired is not None and expired.lost > loss.lost:
         return None  # most of what did not come was too old, which `_expired` tells
-    cause, why = _LOSSES.get(loss.cause, (Cause.LOSSY, f"lost on the way{_remedy_for_loss(half)}"))
+    cause, why = LOSSES.get(loss.cause, (Cause.LOSSY, f"lost on the way{_remedy_for_loss(half)}"))
     if loss.cause == "malformed" and half.malformed:
         why = f"they are malformed ({half.malformed}): see what publishes them"
     full = half.route.link_full
@@ -357,7 +153,7 @@ def _lossy(half: SendingTopic, crossing: Crossing) -> Verdict | None:
     elif cause is Cause.LOSSY and half.flow.was_full_since(loss.since):
         why = "the link was full"
     elif cause is Cause.TOO_LARGE:
-        why += f": {half.remedy_for_size()}"
+        why += f": {remedy_for_size(half.route.transport, half.route.proposal)}"
     # The figures still contain the losses before the recovery.
     if loss.recovering:
         if half.route.judged.shown_cause not in LOSS_CAUSES:
@@ -370,7 +166,7 @@ def _lossy(half: SendingTopic, crossing: Crossing) -> Verdict | None:
     return Verdict(State.SLOW, cause, f"{text}, for {LASTING}: {why}", loss.since)
 
 
-def _remedy_for_loss(half: SendingTopic) -> str:
+def _remedy_for_loss(half: SenderFacts) -> str:
     """Return what to do about lost datagrams, or nothing while the link may be full: then both remedies do harm."""
     datagrams = half.datagrams()
     # TCP would lose more of what has to be armed, since late messages are dropped.
@@ -381,7 +177,7 @@ def _remedy_for_loss(half: SendingTopic) -> str:
     return f"; {USE_TCP}"
 
 
-def _too_large(half: SendingTopic, crossing: Crossing) -> Verdict | None:
+def _too_large(half: SenderFacts, crossing: Crossing) -> Verdict | None:
     """Judge what `_lossy` cannot: the newest message of a latched topic, or one before any was sent."""
     undelivered = half.route.notices.undelivered
     if not undelivered or not crossing.flows:
@@ -392,7 +188,7 @@ def _too_large(half: SendingTopic, crossing: Crossing) -> Verdict | None:
     return Verdict(State.SLOW if some else State.DOWN, Cause.TOO_LARGE, undelivered)
 
 
-def _stale(half: SendingTopic, crossing: Crossing) -> Verdict | None:
+def _stale(half: SenderFacts, crossing: Crossing) -> Verdict | None:
     # STOPPED says the same, and the expected rate.
     if (since := half.stale_since(crossing)) is None or _stopped(half, crossing) is not None:
         return None
@@ -400,7 +196,7 @@ def _stale(half: SendingTopic, crossing: Crossing) -> Verdict | None:
     return Verdict(State.STALE, cause, f"nothing for {LASTING}: {why}", since)
 
 
-def _stopped(half: SendingTopic, _: Crossing) -> Verdict | None:
+def _stopped(half: SenderFacts, _: Crossing) -> Verdict | None:
     since, expected = half.health.stop.since, half.health.expected_rate
     if since is None or expected is None:
         return None
@@ -408,10 +204,10 @@ def _stopped(half: SendingTopic, _: Crossing) -> Verdict | None:
     return Verdict(State.STOPPED, cause, f"nothing for {LASTING}, {expected:.3g} Hz expected: {why}", since)
 
 
-def _why_silent(half: SendingTopic) -> tuple[Cause, str]:
+def _why_silent(half: SenderFacts) -> tuple[Cause, str]:
     """Explain the silence. DDS lists a publisher for up to 40 s after its death, so it may not run any more."""
     ever = half.came or half.came_before
-    if half.carried.endpoints and half.unmatched:
+    if half.carried.endpoints and half.subscription.is_unmatched:
         return Cause.PUBLISHER_SILENT, _plural(half.carried.endpoints, *NOT_MATCHED)
     if half.carried.endpoints:
         # A publisher that has just come has had no time for its first message.
@@ -421,15 +217,16 @@ def _why_silent(half: SendingTopic) -> tuple[Cause, str]:
     return Cause.PUBLISHER_GONE if ever else _nobody(half), _no_publisher(half, gone=ever)
 
 
-def _nobody(half: SendingTopic) -> Cause:
-    return Cause.NO_PUBLISHER if half.elsewhere is None else half.elsewhere.cause
+def _nobody(half: SenderFacts) -> Cause:
+    elsewhere = half.resolver.elsewhere
+    return Cause.NO_PUBLISHER if elsewhere is None else elsewhere.cause
 
 
-def _no_publisher(half: SendingTopic, *, gone: bool = False) -> str:
-    return no_publisher(half.route.local_topic, half.route.context.domain_id, half.elsewhere, gone=gone)
+def _no_publisher(half: SenderFacts, *, gone: bool = False) -> str:
+    return no_publisher(half.route.local_topic, half.route.context.domain, half.resolver.elsewhere, gone=gone)
 
 
-def _slow(half: SendingTopic, _: Crossing) -> Verdict | None:
+def _slow(half: SenderFacts, _: Crossing) -> Verdict | None:
     since, expected = half.health.slow.since, half.health.expected_rate
     if since is None or expected is None:
         return None
@@ -452,13 +249,16 @@ def _steady_figure(rate: float) -> str:
     return f"{rate:#.3g}".rstrip(".")
 
 
-def _catching_up(half: SendingTopic, _: Crossing) -> Verdict | None:
-    left = half.backlog.left if half.backlog.exists else 0
+def _catching_up(half: SenderFacts, _: Crossing) -> Verdict | None:
+    left = half.path.backlog.left if half.path.backlog.exists else 0
     return Verdict(State.OK, Cause.CATCHING_UP, f"catching up, {left:,} left") if left else None
 
 
-def _unsent(half: SendingTopic, crossing: Crossing) -> Verdict | None:
+def _unsent(half: SenderFacts, crossing: Crossing) -> Verdict | None:
     """Judge a topic that no message has come of, or whose publisher has left while no message was due."""
+    if crossing is Crossing.RESTING:
+        text = no_subscriber(half.route.far_topic, None, half.flow.audience.deaf)
+        return Verdict(State.RESTING, Cause.RESTING, text)
     if not crossing.flows:
         return _no_message(first_missing(half.stages()))
     if half.came:
@@ -470,7 +270,7 @@ def _unsent(half: SendingTopic, crossing: Crossing) -> Verdict | None:
     verbs = NOTHING_SINCE_OPENED if half.came_before else PUBLISHED_NOTHING
     if half.flow.qos and not half.flow.qos.latched and all(each.qos.latched for each in half.carried.endpoints):
         verbs = LEFT_OUT_LATCHED  # they may well have published, before the subscription
-    elif half.unmatched:
+    elif half.subscription.is_unmatched:
         verbs = NOT_MATCHED
     return Verdict(State.WAITING, Cause.PUBLISHER_SILENT, _plural(half.carried.endpoints, *verbs))
 
@@ -482,18 +282,21 @@ def _no_message(missing: str = "") -> Verdict:
 # --- the receiving side
 
 
-def _nothing_comes(half: ReceivingTopic, crossing: Crossing) -> Verdict | None:
+def _nothing_comes(half: ReceiverFacts, crossing: Crossing) -> Verdict | None:
     since = half.stale_since(crossing)
     return None if since is None else Verdict(State.STALE, Cause.SILENT, f"nothing for {LASTING}", since)
 
 
-def _unreceived(half: ReceivingTopic, crossing: Crossing) -> Verdict | None:
+def _unreceived(half: ReceiverFacts, crossing: Crossing) -> Verdict | None:
+    if crossing is Crossing.RESTING:
+        text = no_subscriber(half.route.local_topic, half.route.context.domain, half.flow.audience.deaf)
+        return Verdict(State.RESTING, Cause.RESTING, text)
     if not crossing.flows:
         return _no_message(waits_for(half))
     return None if half.came else _no_message()
 
 
-def waits_for(half: ReceivingTopic) -> str:
+def waits_for(half: ReceiverFacts) -> str:
     """Return in words what has to pass before anything can cross."""
     stages = half.stages()
     if half.report_now is None and all(each.done is not False for each in stages):
@@ -502,7 +305,7 @@ def waits_for(half: ReceivingTopic) -> str:
     return first_missing(stages)
 
 
-def _subscribers(half: ReceivingTopic, _: Crossing) -> Verdict | None:
+def _subscribers(half: ReceiverFacts, crossing: Crossing) -> Verdict | None:
     qos = half.listeners.offered
     if qos is None or not (half.route.life.described and half.carried.type_name):
         return None
@@ -529,22 +332,22 @@ def _subscribers(half: ReceivingTopic, _: Crossing) -> Verdict | None:
         return Verdict(
             State.UNHEARD, Cause.NO_SUBSCRIBER, _plural(half.carried.endpoints, *NOT_MATCHED, "subscriptions")
         )
-    if not half.carried.endpoints and not half.flow.audience.count and half.came:
+    if not half.carried.endpoints and not half.flow.audience.count and half.came and crossing is not Crossing.RESTING:
         return Verdict(
-            State.UNHEARD, Cause.NO_SUBSCRIBER, no_subscriber(half.route.local_topic, half.route.context.domain_id)
+            State.UNHEARD, Cause.NO_SUBSCRIBER, no_subscriber(half.route.local_topic, half.route.context.domain)
         )
     return None
 
 
-def _changed_type(half: ReceivingTopic, others: Collection[Endpoint]) -> str:
+def _changed_type(half: ReceiverFacts, others: Collection[Endpoint]) -> str:
     """Say that the publishers have another type than before, and who still has that one."""
-    now, nodes = half.carried.type_name, half.publisher_nodes
+    now, (nodes, _, _) = half.carried.type_name, half.ends()
     verb = "publishes" if len(nodes) == 1 else "publish"
     changed = f"{named(nodes)} {verb} {now} now" if nodes else f"it is published as {now} now"
     return f"{changed}, {types_and_nodes(others)} as before: correct the publisher"
 
 
-def _clocks(half: ReceivingTopic, _: Crossing) -> Verdict | None:
+def _clocks(half: ReceiverFacts, _: Crossing) -> Verdict | None:
     if not half.listeners.clocks:
         return None
     text = (
@@ -554,7 +357,7 @@ def _clocks(half: ReceivingTopic, _: Crossing) -> Verdict | None:
     return Verdict(State.UNHEARD, Cause.SEVERAL_CLOCKS, text)
 
 
-def _hears_instead(half: ReceivingTopic, offered: Qos, deaf: Collection[Endpoint]) -> str:
+def _hears_instead(half: ReceiverFacts, offered: Qos, deaf: Collection[Endpoint]) -> str:
     """Return what subscribers that do not match hear of other publishers, and who hears this topic, as a clause."""
     nodes = {each.node for each in deaf}
     others = {p.node for p in half.listeners.others if any(not clashes(p.qos, each.qos) for each in deaf)}
@@ -578,7 +381,7 @@ def _plural(endpoints: Collection[Endpoint], one: str, several: str, what: str =
     return f"{named(nodes)}{count} {one if len(nodes) == 1 else several}"
 
 
-OF_SENDER: Rules[SendingTopic] = (
+OF_SENDER: Rules[SenderFacts] = (
     _subscription,
     _publishers_qos,
     _publishers_types,
@@ -595,4 +398,4 @@ OF_SENDER: Rules[SendingTopic] = (
     _shared,
     _unsent,
 )
-OF_RECEIVER: Rules[ReceivingTopic] = (_nothing_comes, _expired, _late, _clocks, _subscribers, _several, _unreceived)
+OF_RECEIVER: Rules[ReceiverFacts] = (_nothing_comes, _expired, _late, _clocks, _subscribers, _several, _unreceived)

@@ -21,7 +21,7 @@ _SETTLES = 0.05
 """s between a first change and the call, and between two calls. To join a network takes some 20 changes in 30 ms."""
 _KEPT = 4096  # bytes of changes that the kernel keeps for us: nobody reads them
 _AT_MOST = 200  # changes that are thrown away in one turn of the loop; some thirty fill `_KEPT`
-_IFF_UP, _IFF_RUNNING = 0x1, 0x40  # the second: the device carries (netdevice(7))
+_IFF_UP, _IFF_LOOPBACK, _IFF_RUNNING = 0x1, 0x8, 0x40  # the last: the device carries (netdevice(7))
 
 
 class SilenceText(Wording):
@@ -30,6 +30,13 @@ class SilenceText(Wording):
     GONE = "{address} is no address of this machine any more"
     DOWN = "{device} is down"
     NO_CARRIER = "{device} has no carrier"
+
+
+class NameText(Wording):
+    """The reasons why a host's name cannot be looked up now, each with its remedy."""
+
+    NO_NETWORK = "this machine has no network but lo: plug in a cable, or join a Wi-Fi"
+    NO_NAME_SERVER = "no name server answers: check this machine's network, or write server_ip as a number"
 
 
 def open_news() -> socket.socket:
@@ -104,6 +111,14 @@ def news_of_kernel(changed: Callable[[], None]) -> NetworkNews | None:
         return NetworkNews(changed)
     except OSError:  # doctor tells of it
         return None
+
+
+def has_network() -> bool:
+    """Whether this machine has an address of another device than lo, as far as its kernel tells."""
+    try:
+        return any(each.flags & (_IFF_UP | _IFF_LOOPBACK) == _IFF_UP for each in _devices())
+    except OSError:
+        return True
 
 
 def device_of(address: str) -> str:

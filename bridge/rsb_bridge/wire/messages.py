@@ -123,6 +123,10 @@ class Propose(ControlMessageBase, frozen=True, kw_only=True):
     the JSON of its fields, or empty if the session says nothing."""
     limits: VelocityLimits | None = None  # what a hand may ask, by the proposer's session, or None for any velocity
     keep: Keep | None = None  # all messages of some time wait for the link, or None for what the QoS keeps
+    beat: Name = ""  # what topics share of which the sending side lets messages of one stamp pass together, or empty
+    lazy: bool | None = None
+    """Whether the sending side subscribes only while somebody on the other side does, or None by its own profile."""
+    renew: bool = False  # whether the sending side subscribes anew when more subscribe on the other one
     purpose: Name = "topic"
     """A name of `rsb_bridge.model.purposes.purposes`; another one is a newer peer's, and refused."""
 
@@ -312,6 +316,9 @@ class Amend(ControlMessageBase, frozen=True):
     late_after: Seconds | None = None
     max_age: Seconds | None = None
     keep: Keep | None = None
+    beat: Name = ""
+    lazy: bool | None = None
+    renew: bool = False
 
     def __post_init__(self) -> None:
         check_limits(self)

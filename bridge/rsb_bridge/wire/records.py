@@ -144,6 +144,7 @@ class ReceivedReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tr
     latency_p99: float | None = None  # s, one way, of the last messages, or None without a figure
     jitter: float | None = None  # s (RFC 3550, 6.4.1), or None without a figure
     verdict: VerdictRecord | None = None
+    wanted: bool = False  # whether this bridge itself takes them: for another link, an operator or a recording
     nodes: NodeNames = ()  # some of the nodes that hear the topic
     deaf: DeafNodes = ()  # some of the other subscriptions
     publishers: NodeNames = ()  # some of the nodes that publish the topic here, while the sending side has no publisher

@@ -7,7 +7,9 @@ import time
 from typing import TYPE_CHECKING, Any
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.config.fields_text import read_written
+from rsb_bridge.cdr.decoder import decode
+from rsb_bridge.cdr.description import DescriptionError, hash_of_text, read_description
+from rsb_bridge.config.fields_text import read_written, whole_fields
 from rsb_bridge.config.yaml_text import dump_yaml, inline
 from rsb_bridge.model.calls import LANES, FieldError
 from rsb_bridge.model.clock import Clock
@@ -25,10 +27,12 @@ if TYPE_CHECKING:
     from concurrent.futures import Future
 
     from rsb_bridge.control.remote_engine import RemoteEngine
+    from rsb_bridge.model.commands import R
     from rsb_bridge.model.snapshot import RouteSnapshot
 
 _CHECKED_EVERY, _REPORTED_EVERY = 0.5, 30.0
 """Seconds between checks of a goal's state, and between reports of an unchanged state. Round figures."""
+_ALL = 1 << 25  # elements, and values: an answer has fewer bytes
 _GOAL = re.compile(r"[0-9a-fA-F]{32}")
 _NEW_GOAL = "# goal_id: "
 _AT_ONCE = 50
@@ -54,15 +58,26 @@ def call_service(arguments: Namespace) -> int:
     with attached(arguments, expires=True) as engine:
         route = chosen_route(engine, arguments)
         lane, began = _lane(route, arguments.lane), Clock.steady()
-        text = response(engine, route, request, lane, arguments.timeout)
+        if arguments.json:
+            whole = _awaited(
+                engine, route, engine.call_whole(route.key, request, lane), request, lane, arguments.timeout
+            )
+        else:
+            text = response(engine, route, request, lane, arguments.timeout)
         report = answer_report(route, Clock.steady() - began)
     if not arguments.json:
         print_lines(text.removesuffix("\n"))
         print_error(escape_text(report))
         return OK
-    goal = {"goal_id": text.splitlines()[0].removeprefix(_NEW_GOAL)} if text.startswith(_NEW_GOAL) else {}
-    answer = {**goal, "response": json_value(data_of(text)), "landed": [{"ok": True, "report": report}]}
-    if cut := _cut(route, text):
+    try:
+        description = read_description(whole.description, hash_of_text(whole.description))
+    except DescriptionError as error:
+        raise EngineError(CallProblem.CUT(topic=route.topic, what=error)) from None
+    data, cut = whole_fields(decode(description, whole.payload, items=_ALL, steps=_ALL))
+    goal = {"goal_id": whole.goal} if whole.goal else {}
+    answer = {**goal, "response": json_value(data), "landed": [{"ok": True, "report": report}]}
+    if cut:
+        cut = CallProblem.CUT(topic=route.topic, what=cut)
         print_line(json_line({"ok": False, "error": cut, **answer}))
         return FAILURE
     return done(arguments, **answer)
@@ -95,17 +110,23 @@ def response(engine: RemoteEngine, route: RouteSnapshot, request: str, lane: str
         lane: name of the service, if the route has several.
         timeout: s, or None for the route's own timeout, which does not limit a goal's result.
     """
-    future = engine.call(route.key, request, lane)
+    return _awaited(engine, route, engine.call(route.key, request, lane), request, lane, timeout)
+
+
+def _awaited(
+    engine: RemoteEngine, route: RouteSnapshot, future: Future[R], request: str, lane: str, timeout: float | None
+) -> R:
+    """Wait for the response of a call that has begun; `response` has the arguments."""
     patient = any(each.patient for each in LANES[route.spec.kind] if each.name == lane)
     # The bridge ends the call itself after `call_timeout`; the rest is for its own answer.
     if timeout is None and not patient:
         return future.result(route.spec.call_timeout + ANSWERED_WITHIN)
     # A goal's identifier may have the dashes of a UUID.
     goal = _GOAL.search(request.replace("-", "")) if patient else None
-    return _awaited(engine, route, future, timeout, goal.group().lower() if goal else "")
+    return _watched(engine, route, future, timeout, goal.group().lower() if goal else "")
 
 
-def _awaited(engine: RemoteEngine, route: RouteSnapshot, future: Future[str], timeout: float | None, goal: str) -> str:
+def _watched(engine: RemoteEngine, route: RouteSnapshot, future: Future[R], timeout: float | None, goal: str) -> R:
     """Wait for a response and report the goal's state meanwhile."""
     began = time.monotonic()
     told, told_at = "", began

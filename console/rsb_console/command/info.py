@@ -51,6 +51,9 @@ def _values(route: RouteSnapshot, now: float) -> dict[str, object]:
         "priority": route.spec.priority,
         "max_age": route.max_age or None,
         "keep": None if route.spec.kept is None else msgspec.structs.asdict(route.spec.kept),
+        "beat": route.spec.beat,
+        "lazy": route.spec.lazy,
+        "renew": route.spec.renew,
         "limits": limits,
         "qos": _qos_values(route.qos),
         "publisher_qos": _qos_values(route.publisher_qos),
@@ -121,6 +124,9 @@ def _carriers(route: RouteSnapshot) -> Iterator[str]:
         yield TOPIC_KEYS["max_age"].described(route.max_age, route.spec.kind)
     if route.spec.kept is not None:
         yield f"keeps {route.spec.kept} for the link"
+    for name in ("beat", "lazy", "renew"):
+        if (value := getattr(route.spec, name)) is not None and value is not False:
+            yield TOPIC_KEYS[name].described(value, route.spec.kind)
     if route.pattern:
         yield f"matches {route.pattern}"
 

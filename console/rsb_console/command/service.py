@@ -21,18 +21,10 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
 MARK = "# Written by `rsb-console service install`. `rsb-console service uninstall` removes it."
-KEPT_VARIABLES = (
-    "ROS_DOMAIN_ID",
-    "RMW_IMPLEMENTATION",
-    "ROS_AUTOMATIC_DISCOVERY_RANGE",
-    "ROS_STATIC_PEERS",
-    "ROS_LOCALHOST_ONLY",
-    "FASTRTPS_DEFAULT_PROFILES_FILE",
-    "FASTDDS_DEFAULT_PROFILES_FILE",
-    "RMW_FASTRTPS_USE_QOS_FROM_XML",
-    "CYCLONEDDS_URI",
-)
-"""Variables that ROS reads from the environment; a service does not have the shell's."""
+_KEPT = re.compile(r"(ROS|ROS2|RMW|RCL|FASTDDS|FASTRTPS)_\w+|CYCLONEDDS_URI|ZENOH_\w*CONFIG\w*")
+"""Variables that ROS and its middlewares read from the environment; a service does not have the shell's."""
+_LEFT_OUT = frozenset({"ROS_DISTRO", "ROS_VERSION", "ROS_PYTHON_VERSION", "ROS_PACKAGE_PATH", "ROS_LOG_DIR"})
+"""Variables that each setup file sets, and the folder of logs, which the unit names itself."""
 CONFINED = (
     "CapabilityBoundingSet=",
     "ProtectSystem=strict",
@@ -233,8 +225,13 @@ def _service(arguments: Namespace) -> Service:
         system=arguments.system,
         user=_owner(session),
         setup=None if setup is None else Path(os.path.abspath(setup)),  # noqa: PTH100
-        environment={name: os.environ[name] for name in KEPT_VARIABLES if name in os.environ},
+        environment=kept_variables(os.environ),
     )
+
+
+def kept_variables(environ: Mapping[str, str]) -> dict[str, str]:
+    """Return the variables of a shell by which the bridge finds the nodes that the shell's programs find."""
+    return {name: environ[name] for name in sorted(environ) if _KEPT.fullmatch(name) and name not in _LEFT_OUT}
 
 
 def _program() -> tuple[str, ...]:

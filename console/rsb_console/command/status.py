@@ -31,6 +31,7 @@ from rsb_console.command.formatting import (
 from rsb_console.command.shell import FAILURE, NOT_RUNNING, OK, print_line
 from rsb_console.command.target import attached
 from rsb_console.notation import formats
+from rsb_console.notation.link_fact import wrong_of
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -117,6 +118,7 @@ def _status_of(engine: RemoteEngine) -> tuple[list[str], list[str], dict[str, ob
     ]
     for link in now.links:
         lines.append(f"  link {link.name} {link_word(link)}{where_and_why(link)}{acknowledged_by(link)}")
+        lines += [f"    ! {text}" for text in wrong_of(link)]
         if waits_for_link := topics_of_link_that_is_down(now, link):
             lines.append(f"    {waits_for_link}")
     lines += [f"  {refused_text(client)}" for client in now.refused]

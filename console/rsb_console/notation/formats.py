@@ -12,7 +12,7 @@ from rsb_bridge.model.names import expand_type_name, other_side
 from rsb_bridge.model.qos import AUTO
 from rsb_bridge.model.snapshot import RouteSnapshot
 from rsb_bridge.model.text import join_first, plural
-from rsb_bridge.model.verdict import LinkCause
+from rsb_bridge.model.verdict import LinkCause, duration
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
@@ -129,12 +129,12 @@ def kilobytes(bytes_per_second: float) -> str:
 
 
 def span(seconds: float) -> str:
-    """Format a duration with two or three digits: ``12 µs``, ``3.1 ms``, ``1.25 s``."""
+    """Format a duration with two or three digits: ``12 µs``, ``3.1 ms``, ``1.25 s``, ``3 min``, ``729 d``."""
     if seconds < 1e-3:
         return f"{seconds * 1e6:.0f} µs"
     if seconds < 1:
         return f"{seconds * 1e3:.1f} ms"
-    return f"{seconds:.2f} s"
+    return f"{seconds:.2f} s" if seconds < 100 else duration(seconds)
 
 
 def loss(links: Iterable[LinkSnapshot]) -> str:

@@ -24,6 +24,7 @@ STATE_SIGN = {
     State.PAUSED: "‖",
     State.DISARMED: "⊘",
     State.DISARMING: "⊖",
+    State.RESTING: "◎",
     State.WAITING: "◌",
     State.UNHEARD: "◇",
     State.SLOW: "≈",

@@ -35,8 +35,8 @@ if TYPE_CHECKING:
     from rsb_console.session.changes import Undo
 
 T = TypeVar("T")
-_AROUND = 8
-"""Lines of the dialog that are not its message: frame, buttons, keys, and the empty ones between."""
+_AROUND = 12
+"""Lines that are not the message: frame, buttons, keys, the empty ones between, and below the dialog a toast."""
 _SMALL_WIDTH, _SMALL_HEIGHT = 50, 12
 """Of a screen with room for a question's frame: four buttons in it take 50 cells, and a message gets four lines."""
 _SCROLL = {

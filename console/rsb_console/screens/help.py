@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from rsb_console.widgets.lines import Line
 
 KEYS_WIDTH, ID_WIDTH = 13, 15  # cells
+_FIRST = 1000.0
+"""More than Textual's score of any match: it counts only among the equally close."""
 OWN_KEYS = "console.yaml"
 """The file with the keys of an operator's own commands, where others have the id for ``keys.yaml``."""
 
@@ -89,6 +91,15 @@ class HelpScreen(ModalScreen[None]):
             yield ()
 
 
+def _closeness(action: Action, query: str) -> int:
+    """Return 2 if an action's name begins with what is typed, 1 if a word about it does, 0 for scattered letters."""
+    typed = query.casefold().strip()
+    if any(name.casefold().startswith(typed) for name in (action.id, action.label)):
+        return 2
+    words = f" {action.help} {action.also}".casefold()
+    return int(f" {typed}" in words)
+
+
 @runtime_checkable
 class LabelsKeys(Protocol):
     """An app that knows the keys of actions, as `rsb_console.console_api.Console` does."""
@@ -119,6 +130,7 @@ class ActionsProvider(Provider):
         for action in self._possible():
             score = matcher.match(f"{action.help} {action.label} {action.also}")
             if score > 0:
+                score += _FIRST * _closeness(action, query)
                 yield Hit(score, matcher.highlight(action.help), partial(self._run, action), help=self._keys(action))
 
     def _keys(self, action: Action) -> str:

@@ -16,6 +16,7 @@ from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.model.wording import Wording
 from rsb_console.notation import formats
 from rsb_console.notation.glyphs import ACK_WORD, STATE_SIGN, STATE_WORD
+from rsb_console.notation.link_fact import ADDED_FACTS, wrong_of
 from rsb_console.screens.dialog import Dialog, is_meant
 from rsb_console.terminal.input_queue import DIALOG
 from rsb_console.widgets.detail import acknowledged_by
@@ -117,8 +118,9 @@ def _detail(link: LinkSnapshot, now: float, width: int, *, server: bool) -> Iter
     if link.state is not State.OK or link.warning:
         parts = link_fault(link, server=server), formats.next_attempt(link), formats.waits(link, now)
         fault = "; ".join(filter(None, parts))
-        for number, line in enumerate(textwrap.wrap(fault, max(20, width - LABEL))):
-            yield (_label("" if number else "why"), (line, "stale" if link.warning else link.state.value))
+        yield from _paragraph("why", fault, "stale" if link.warning else link.state.value, width)
+    for wrong in wrong_of(link):
+        yield from _paragraph("!", wrong, State.STALE.value, width)
     if link.acknowledged is not None:
         yield (_label("known"), (acknowledged_by(link.acknowledged), "dim"))
     domain = "" if link.peer_domain is None else f"domain {link.peer_domain}"
@@ -139,6 +141,14 @@ def _detail(link: LinkSnapshot, now: float, width: int, *, server: bool) -> Iter
     yield (_label("its clock"), (offset, ""))
     if loss := formats.loss([link]):
         yield (_label("packets lost"), (loss, State.SLOW.value))
+    for fact in ADDED_FACTS:
+        for number, text in enumerate(fact.lines(link)):
+            yield from _paragraph("" if number else fact.label, text, "", width)
+
+
+def _paragraph(label: str, text: str, look: str, width: int) -> Iterator[Line]:
+    for number, line in enumerate(textwrap.wrap(text, max(20, width - LABEL))):
+        yield (_label("" if number else label), (line, look))
 
 
 def _label(text: str) -> tuple[str, str]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from rsb_bridge.model import transports
 from rsb_bridge.model.limits import CHANNEL, NO_PORT
 from rsb_bridge.model.topic_keys import TOPIC_KEYS
-from rsb_console.session.draft import SWITCHES, Ends, values_of
+from rsb_console.session.draft import CHOICES, SWITCHES, Ends, values_of
 from rsb_console.widgets.form import Spec
 
 if TYPE_CHECKING:
@@ -43,6 +43,8 @@ def fields_by_kind(session: Session, ends: Ends, route: Row | None) -> dict[Kind
             value = values.get(spec.key, "")
             if spec.key in SWITCHES:
                 value = "yes" if value else ""
+            elif spec.key in CHOICES and value:
+                value = "yes" if value == "True" else "no"
             edited = value.startswith("{")  # QoS policies are changed one by one
             fields[kind][spec.key] = replace(spec, value=value, edited=edited)
     return fields

@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import RouteSnapshot, TopicInfo
     from rsb_console.session.draft import Ends
 
-_NAME_WIDTH, _WHERE_WIDTH, _TYPE_WIDTH = 32, 21, 24  # cells; the name gets the rest, at least so many
+_NAME_WIDTH, _WHERE_WIDTH, _TYPE_WIDTH = 32, 21, 25
+"""Cells: names get what the others leave, at least so many, if the longest one needs that; types get the rest."""
 _ENDS: dict[Kind, tuple[str, str]] = {
     "topic": ("publisher", "subscriber"),
     "service": ("server", "client"),
@@ -52,10 +53,11 @@ def suggestions_for(
             crossing.add((route.spec.kind, is_here, name, from_here))
             crossing |= {("service", is_here, f"{name}{suffix}", from_here) for suffix in services}
     infos = [(info, is_here) for graph, is_here in ((here, True), (there, False)) for info in graph]
+    longest = max((cell_len(info.topic) for info, _ in infos), default=0)
     suggestions: dict[str, Suggestion] = {}
     # Publishers first, as the first suggestion of a key stays.
     for info, is_here in sorted(infos, key=lambda each: not each[0].publishers):
-        suggestion = _suggestion(ends, info, is_here)
+        suggestion = _suggestion(ends, info, is_here, longest)
         from_here = info.kind == "topic" and is_here == bool(info.publishers)
         if (
             suggestion is not None
@@ -73,7 +75,7 @@ def _direction(ends: Ends, info: TopicInfo, is_here: bool) -> str:
     return "receive" if gives == (info.kind == "topic") else "transmit"
 
 
-def _suggestion(ends: Ends, info: TopicInfo, is_here: bool) -> Suggestion | None:
+def _suggestion(ends: Ends, info: TopicInfo, is_here: bool, longest: int) -> Suggestion | None:
     """Make the suggestion with the client's name, or return None if the client has none."""
     name = ends.client_topic(info.topic, on_server=is_here == ends.is_server)
     if name is None:
@@ -85,20 +87,22 @@ def _suggestion(ends: Ends, info: TopicInfo, is_here: bool) -> Suggestion | None
         "provider": "server" if direction == "transmit" else "client",
         "type": AUTO if info.kind == "parameters" else info.type_name or AUTO,
     }
-    return Suggestion(f"{info.kind} {direction} {name}", name, partial(_line, info, is_here), fills)
+    return Suggestion(f"{info.kind} {direction} {name}", name, partial(_line, info, is_here, longest), fills)
 
 
-def _line(info: TopicInfo, is_here: bool, width: int) -> Line:
-    name_width = max(_NAME_WIDTH, width - 2 - _WHERE_WIDTH - _TYPE_WIDTH)
+def _line(info: TopicInfo, is_here: bool, longest: int, width: int) -> Line:
+    room = width - 2 - _WHERE_WIDTH
+    name_width = min(longest + 1, max(_NAME_WIDTH, room - _TYPE_WIDTH))
     gives, takes = _ENDS[info.kind]
     count, what = (info.publishers, gives) if info.publishers else (info.subscriptions, takes)
     amount = gives if info.kind == "parameters" and info.publishers else f"{count} {plural(count, what)}"
     outwards = (is_here == bool(info.publishers)) == (info.kind == "topic")
+    type_name = "" if info.kind == "parameters" else info.type_name.replace("/msg/", "/") or "several types"
     return (
         (f"{OUT if outwards else IN} ", ""),
         *padded(info.topic, name_width, "strong"),
         *padded(f"{amount} {'here' if is_here else 'there'}", _WHERE_WIDTH, "dim"),
-        ("" if info.kind == "parameters" else info.type_name.replace("/msg/", "/") or "several types", ""),
+        (fit_middle(type_name, max(1, room - name_width)), ""),
     )
 
 

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.snapshot import Snapshot
 
-_NUMBERS, SWITCHES = keys_of_value("number"), keys_of_value("switch")
-"""The keys that are on or off. Every text outside `_OFF` means on."""
+_NUMBERS, SWITCHES, CHOICES = keys_of_value("number"), keys_of_value("switch"), keys_of_value("choice")
+"""The keys that are on or off, and those that may be left open, too. Every text outside `_OFF` means on."""
 _PARTS: dict[str, type[msgspec.Struct]] = {"limits": VelocityLimits, "keep": Keep}
 """The keys whose values may have parts."""
 _OFF = ("", "false", "no", "off")
@@ -64,6 +64,8 @@ def plain(key: str, text: str) -> Any:
         return _plain_parts(text, parts)
     if key == "excepts":
         return tuple(text.replace(",", " ").split())
+    if key in CHOICES:
+        return text.lower() not in _OFF
     if key not in _NUMBERS and key != "keep":
         return text
     for kind in (int, float):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import select
 import signal
 import sys
@@ -49,6 +50,8 @@ if TYPE_CHECKING:
 
 _ESCAPE = "\x1b"
 _CONTINUES_ESCAPE = "[Obf\x7f"  # begins a sequence, or is a word's key of line editing
+_BEGINS_SEQUENCE = re.compile(r"\x1b(\[[0-9:;<=>?]*|O)")
+_SEQUENCE = re.compile(r"\x1b(\[[0-9:;<=>?]*[A-Za-z~]|O[A-Za-z])")
 _KEEP_TITLE, _GIVE_TITLE_BACK = "\x1b[22;0t", "\x1b[23;0t"
 _OWN_COLOURS = "\x1b[m"
 _ALTERNATE_SCREEN = "\x1b7\x1b[?1047h"
@@ -76,11 +79,23 @@ class KeyParser(XTermParser):
 
     Textual reads the two as Alt with the key, which means nothing to the console; of two Escapes it makes ``^``, and of
     an answer that it does not know keys.
+
+    A line may also tear an arrow key's sequence apart. Its Escape counts as a key after 0.1 s, and its letter would arm
+    or disarm. So the rest of a sequence is no key while it may still be on its way with that Escape.
+
+    Args:
+        pulse: the terminal's, or None if it has none: then the rest is always a key.
     """
 
     _after_escape = False
     _answer = ""  # characters that may become the answer, after its Escape, which waits
     _answer_due = 0.0
+    _sequence = ""  # what has come of a sequence, with its Escape
+    _sequence_at = 0.0
+
+    def __init__(self, pulse: Pulse | None = None, debug: bool = False) -> None:
+        self._pulse = pulse
+        super().__init__(debug)
 
     def feed(self, data: str) -> Iterator[Message]:
         """Read what has come at once: its keys have the same time, however long this takes."""
@@ -94,10 +109,25 @@ class KeyParser(XTermParser):
         if not data:
             yield from super().feed(data)
         for char in data:
+            if self._is_torn(char):
+                continue
             if self._answer or (self._after_escape and self._waits and char in _BEGINS_ANSWER):
                 yield from self._feed_answer(char)
             else:
                 yield from self._feed_key(char)
+
+    def _is_torn(self, char: str) -> bool:
+        """Whether a character is the rest of a sequence whose Escape counts as a key already."""
+        if char == _ESCAPE:
+            self._sequence, self._sequence_at = char, time.monotonic()
+            return False
+        if not self._sequence:
+            return False
+        sequence = self._sequence + char
+        self._sequence = sequence if _BEGINS_SEQUENCE.fullmatch(sequence) else ""
+        if not (self._sequence or _SEQUENCE.fullmatch(sequence)) or self._waits or self._answer:
+            return False
+        return self._pulse is not None and not self._pulse.is_over(self._sequence_at)
 
     def tick(self) -> Iterable[Message]:
         if self._answer and time.monotonic() > self._answer_due:
@@ -286,6 +316,7 @@ class ConsoleDriver(LinuxDriver):
         self._parser: KeyParser | None = None
         self._lacks_modes = False
         """Whether the terminal may be another one, whose modes were not set."""
+        self._kind_told = ""
         self._title = ""
         self.pulse = Pulse(os.environ)
 
@@ -358,6 +389,7 @@ class ConsoleDriver(LinuxDriver):
         self._known.doubt()
         self.losses += 1
         self._lacks_modes = True
+        self._kind_told = ""
         # Until the terminal says that it tells its size among the keys, SIGWINCH tells it.
         self._in_band_window_resize = False
 
@@ -387,9 +419,10 @@ class ConsoleDriver(LinuxDriver):
         self.entitle(title)
         self._suit(before)
 
-    def _meet_without_kind(self) -> None:
-        if self._known.is_in_doubt and not self.pulse.is_doubted:
-            self._meet("")
+    def _meet_told(self) -> None:
+        """Take the kind that was told, unless the terminal before may have told it."""
+        if not self.pulse.is_doubted:
+            self._meet(self._kind_told)
 
     def look_for_answers(self) -> None:
         """Take a terminal that has not answered for long for one that answers nothing."""
@@ -466,7 +499,7 @@ class ConsoleDriver(LinuxDriver):
                 if (asked := self.pulse.answered(message.y + 1, message.x + 1)) is not None:
                     self.line.answered(asked)
                     if self._known.is_in_doubt:
-                        self._app.call_later(self._meet_without_kind)  # behind its kind, if it tells that
+                        self._app.call_later(self._meet_told)
                 return
             case events.Key(key=key, character=answer) if key == _FACT:
                 self._app.call_later(self._take_answer, answer or "")  # on the app's thread, as this one reads the keys
@@ -474,7 +507,8 @@ class ConsoleDriver(LinuxDriver):
             case events.Key(key=key) if key == _KIND:
                 kind = KIND.fullmatch(message.character or "")["kind"]  # type: ignore[index]
                 self.pulse.take_kind(kind)
-                self._app.call_later(self._meet, kind)
+                self._kind_told = kind
+                self._app.call_later(self._meet_told)
                 return
             case events.Key(key=key) if key == _REDRAW:
                 self._doubt()
@@ -533,7 +567,7 @@ class ConsoleDriver(LinuxDriver):
             super().run_input_thread()
 
     def _new_parser(self, debug: bool) -> KeyParser:
-        self._parser = KeyParser(debug)
+        self._parser = KeyParser(self.pulse, debug)
         return self._parser
 
     def _watch_hangup(self, ended: threading.Event) -> None:

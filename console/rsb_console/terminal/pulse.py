@@ -142,6 +142,15 @@ class Pulse:
         """
         self._doubted_at = self._clock()
 
+    def is_over(self, moment: float) -> bool:
+        """Whether the terminal has sent nothing more of the keys that began to arrive at a moment (s).
+
+        It has answered a later question by then. Where answers prove nothing, or nobody asks, `FRESH_FOR` has to pass.
+        """
+        if self.relayed or self.asked < moment:
+            return self._clock() - moment > FRESH_FOR
+        return self.heard >= moment
+
     @property
     def waits(self) -> bool:
         """Whether an answer is due from a terminal that gives answers."""

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
 _MOST_GOALS = 8
 """Goals that are shown, two lines each. A round figure: each further one pushes the plot and the ledger down."""
+_AXIS = 6  # cells of a plot's numbers
 _ID_LENGTH = 8  # digits that tell goals apart
 _OVER = {
     "succeeded": (DONE, "ok"), "canceled": (UNKNOWN, "dim"), "aborted": (FAILED, "down"), "rejected": (FAILED, "stale"),
@@ -399,7 +400,7 @@ def _stages(page: _Page, route: RouteSnapshot, question: str, nothing: str) -> N
 def _plot(page: _Page, route: RouteSnapshot, title: str, unit: str) -> None:
     """Add the present rate and a curve of the last seconds."""
     # A route keeps the last 120 s, two of which take a cell.
-    cells = max(1, min(page.width - 2, 60))
+    cells = max(1, min(page.width - 2 - _AXIS, 60))
     shown = route.history[-2 * cells :]
     usual = route.expected_rate if route.calls is None else None  # nobody expects calls
     top = 1.2 * max(usual or 0.0, *shown, 1.0) if shown else 1.0
@@ -412,8 +413,10 @@ def _plot(page: _Page, route: RouteSnapshot, title: str, unit: str) -> None:
         (f"  {formats.hertz(present_rate(route)) if carries(route) else '-'} {unit}{expected}", "strong"),
         (f"  last {2 * cells} s", "dim"),
     )
-    for line in braille_plot(shown, cells, _PLOT_HEIGHT, top):
-        page.add((f" {line}", "plot"))
+    numbers = {0: formats.hertz(top), _PLOT_HEIGHT - 1: formats.hertz(0)}
+    for number, line in enumerate(braille_plot(shown, cells, _PLOT_HEIGHT, top)):
+        sign = "┤" if number in numbers else "│"
+        page.add((f"{numbers.get(number, ''):>{_AXIS}}{sign}", "dim"), (line, "plot"))
 
 
 def _share(part: int, whole: int) -> str:

@@ -197,7 +197,7 @@ def _needs_words(row: Row) -> bool:
     """Whether a topic has a fault of its own, or waits for something that an operator can remedy."""
     if row.acknowledged is not None:
         return False
-    if row.state in {State.OK, State.PAUSED, State.DISARMED, State.DISARMING}:
+    if row.state is State.OK or row.state.is_wanted:
         return False
     return row.state is not State.WAITING or row.cause in _SHOWN_WHILE_WAITING
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from rsb_console.widgets.lines import Line
     from rsb_console.widgets.selectable_list import Layout
 
-FAULTS = tuple(state for state in State if state not in (State.PAUSED, State.DISARMED, State.DISARMING, State.OK))
+FAULTS = tuple(state for state in State if state is not State.OK and not state.is_wanted)
 WIDE = 70  # cells; a narrower table shows a state's sign without its word
 HISTORY, _SHORT_HISTORY = 12, 7
 """s, usually, and at least, where long names need the room."""
@@ -386,4 +386,4 @@ def _look(column: Column[Row], row: Row) -> str:
         return "armed" if is_armed(row) else row.state.value
     if column is HISTORY_COLUMN:
         return "plot" if row.state.flows else row.state.value
-    return "dim" if row.state in (State.PAUSED, State.DISARMED, State.DISARMING) else ""
+    return "dim" if row.state.is_wanted else ""

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 _AUDIT = """\
 NEAR and FAR are recordings of the same time, one of each ROS domain, of any bridge:
-files *.mcap, or folders of rosbag2. Messages are matched by their content.
+files *.mcap or *.db3, or folders of rosbag2. Messages are matched by their content.
 
 for example:
   rsb-console audit near.mcap far.mcap
@@ -25,9 +25,10 @@ for example:
 
 exit codes:
   0  all that QoS promises has crossed, as far as the recordings show
-  1  something is lost, doubled, reordered, old, unanswered or has not crossed; where
-     messages should arrive, nothing is recorded for over 10 s at an end; or the
-     recordings have nothing in common
+  1  something is lost, doubled, reordered, old, unanswered or has not crossed; both
+     sides have a topic, and no message of it is the same; where messages should
+     arrive, nothing is recorded for over 10 s at an end; or the recordings have
+     nothing in common
   2  the recordings cannot be compared: wrong usage, or a file that cannot be read"""
 
 

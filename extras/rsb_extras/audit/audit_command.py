@@ -12,7 +12,7 @@ from rsb_console.command.shell import FAILURE, OK, print_line
 from rsb_console.command.target import UsageError
 from rsb_extras.audit.audit_table import lines_of
 from rsb_extras.audit.comparing import AuditOptions, compare
-from rsb_extras.audit.recorded import RecordingError, UnreadableRecording
+from rsb_extras.audit.recording_files import RecordingError, UnreadableRecording
 from rsb_extras.audit.topic_pairs import PairError
 
 if TYPE_CHECKING:

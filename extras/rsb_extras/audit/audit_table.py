@@ -39,6 +39,7 @@ class AuditText(Wording):
 
     RECORDING = "{side:<4}  {path}: {messages:,} messages of {topics} topics, {seconds:.1f} s from {start}"
     CUT = "{side:<4}  {path}: {reason}; read as far as it goes"
+    JOINED = "{side:<4}  {path}: {count} recordings, one behind the other; all are read"
     CLOCKS = "Both cover {overlap:.1f} s. FAR's clock is {offset} {direction}: {by}."
     NO_OVERLAP = "The recordings have no time in common: nothing can be judged."
     EARLY = "early: before the topic's first message that crossed, in its first {opening:g} s."
@@ -50,6 +51,10 @@ class AuditText(Wording):
     ASSUMED = "from NEAR to FAR, as nothing says otherwise (--back): {topics}"
     UNKNOWN_QOS = (
         "{topic}: the recording does not say which QoS holds, or its publishers differ; what is lost is no failure"
+    )
+    PADDING = (
+        "{topic}: the recordings do not both describe {type}; padding inside its messages counts as content, so that "
+        "what is lost may have crossed"
     )
     SEVERAL = "{topic}: several publishers, which the recording does not tell apart; their order is not judged"
     ONLY = "only in {side}: {topics}"
@@ -102,6 +107,8 @@ def _recording(side: str, facts: RecordingFacts) -> Iterator[str]:
         seconds=facts.last - facts.first,
         start=f"{_moment(facts.first):%Y-%m-%d %H:%M:%S}",
     )
+    if facts.joined:
+        yield AuditText.JOINED(side=side, path=facts.path, count=facts.joined + 1)
     if facts.cut:
         yield AuditText.CUT(side=side, path=facts.path, reason=facts.cut)
 
@@ -140,6 +147,9 @@ def _notes(report: AuditReport) -> Iterator[str]:
         yield AuditText.NOT_JUDGED(topics=join_first(others, _NAMED))
     if assumed := [topic.topic for topic in judged if topic.way_by == "assumed"]:
         yield AuditText.ASSUMED(topics=join_first(assumed, _NAMED))
+    for topic in report.topics:
+        if not topic.described and (topic.nothing_common or topic.lost or topic.elsewhere):
+            yield AuditText.PADDING(topic=topic.topic, type=topic.type)
     for topic in judged:
         if topic.by_order:
             yield AuditText.BY_ORDER(topic=topic.topic, count=topic.by_order, all=topic.matched)
@@ -220,6 +230,7 @@ def _what(breach: Breach) -> str:
         "disordered": f"{count} {messages} after a later one",
         "latched_old": "the latched message at the end is an old one",
         "latched_absent": "the latched message at the end is not there",
+        "not_judged": "no message is the same on both sides; name the topics that should cross (--topic)",
         "not_crossed": f"none of {count} {messages} has crossed",
         "call": f"{count} {plural(breach.count, 'call')} without an answer",
         "goal": f"{count} {plural(breach.count, 'goal')} ended on one side only",

@@ -29,6 +29,10 @@ GAPS_KEPT = 100  # gaps of a topic on a side that are listed; the others are cou
 _TOLERANCE = 2_000_000
 """ns that clocks may be off, beside their uncertainty. A round figure, above the jitter of time synchronisation."""
 _FEWEST = 3  # intervals of which a usual one can be told
+_USUAL_INTERVALS = 3
+"""Usual intervals that a silence lasts at least, as a topic of 1 Hz has no message for 1.0 s all the time. A round
+figure: two messages that are lost are none."""
+_NEVER = -1 << 62
 
 LatchedValue = Literal["same", "old", "absent", "undecided"]
 
@@ -38,7 +42,8 @@ class SilentTime(msgspec.Struct, frozen=True):
 
     Attributes:
         start, end: s since the epoch on the clock of its side.
-        other: messages on the other side meanwhile, one that belongs to its end left out.
+        other: messages on the other side meanwhile, one that belongs to its end left out; 0 if that side was silent for
+            most of it, too.
         open: it lasts until the recording's end.
     """
 
@@ -60,6 +65,7 @@ class AuditedTopic(msgspec.Struct):
         latched_value: of a latched topic, or None.
         gaps, more_gaps: by side, `near` and `far`: the first ones, and how many more there are.
         nothing_common: both sides have messages, and none is the same.
+        described: both recordings describe the type, so that padding inside messages does not count.
     """
 
     topic: str
@@ -85,6 +91,7 @@ class AuditedTopic(msgspec.Struct):
     age_p99: float | None = None
     latched_value: LatchedValue | None = None
     nothing_common: bool = False
+    described: bool = True
     gaps: dict[str, list[SilentTime]] = msgspec.field(default_factory=lambda: {"near": [], "far": []})
     more_gaps: dict[str, int] = msgspec.field(default_factory=lambda: {"near": 0, "far": 0})
 
@@ -130,6 +137,7 @@ class Audit:
         result.matched, result.by_order = match_messages(
             self._database, self._tolerance, is_latched=source.offer.latched is True
         )
+        result.described = source.described and sink.described
         result.nothing_common = bool(source.messages and sink.messages and not result.matched)
         self._count(result)
         if result.latched and not result.nothing_common:
@@ -147,7 +155,7 @@ class Audit:
             late = one("SELECT max(min(source), min(sink)) FROM pair") or 0
             after = late + SECOND
         else:
-            after = -1 << 62
+            after = _NEVER
         # Of equal messages, those that are matched in order tell ages, where there are no others.
         alike = 0 if one("SELECT count(*) FROM pair WHERE alike = 0") else 1
         count = one("SELECT count(*) FROM pair WHERE alike = ? AND source > ?", alike, after)
@@ -222,42 +230,80 @@ class Audit:
     def _find_gaps(self, result: AuditedTopic) -> None:
         """Find silences on both sides, in one pass over all times."""
         source, sink = ("near", "far") if result.way == "to_far" else ("far", "near")
-        other_side = {"near": "far", "far": "near"}
+        intervals = self._one("SELECT count(*) FROM source") - 1
+        if intervals < _FEWEST:
+            return
+        usual = self._one(
+            "SELECT interval FROM (SELECT time - lag(time) OVER (ORDER BY time) AS interval FROM source)"
+            " WHERE interval IS NOT NULL ORDER BY interval LIMIT 1 OFFSET ?",
+            intervals // 2,
+        )
+        least = max(self._gap, _USUAL_INTERVALS * usual)
         # Both sides of a silence of the sender begin and end together, once the usual age is taken away.
         shift = {source: 0, sink: round((result.age_p50 or 0.0) * SECOND)}
-        gaps, more = {"near": list[SilentTime](), "far": list[SilentTime]()}, {"near": 0, "far": 0}
-        last: dict[str, int] = {}
-        others = {"near": 0, "far": 0}
-        intervals = short = 0
-
-        def silent(side: str, until: int, *, to_end: bool) -> None:
-            # A message at one of its ends has a counterpart, too.
-            other = others[side] if to_end and others[side] > 1 else max(others[side] - 1, 0)
-            if len(gaps[side]) < GAPS_KEPT:
-                start, end = ((time + shift[side] + self._offset[side]) / SECOND for time in (last[side], until))
-                gaps[side].append(SilentTime(start, end, other, to_end))
-            else:
-                more[side] += 1
-
+        near, far = (_Silences(least, shift[side] + self._offset[side]) for side in ("near", "far"))
+        sides = {"near": (near, far), "far": (far, near)}
         times = "SELECT time - ?, 'near' FROM near UNION ALL SELECT time - ?, 'far' FROM far ORDER BY 1, 2 DESC"
         for time, side in self._database.execute(times, (shift["near"], shift["far"])):
-            if (before := last.get(side)) is not None:
-                is_short = time - before <= self._gap
-                if not is_short and time > self.begin and before < self.end:
-                    silent(side, time, to_end=False)
-                if side == source:
-                    intervals += 1
-                    short += is_short
-            last[side] = time
-            others[side] = 0
-            others[other_side[side]] += 1
-        for side, time in last.items():
-            end = self._ends[side] - shift[side]
-            if end - time > self._gap and time < self.end:
-                silent(side, end, to_end=True)
-        if intervals >= _FEWEST and 2 * short > intervals:  # else it is usually silent for as long
-            result.gaps, result.more_gaps = gaps, more
+            own, other = sides[side]
+            if time > self.begin and own.last < self.end:
+                own.end(time, to_end=False)
+            own.begin(time)
+            other.hear_other(time)
+        for side, (own, _) in sides.items():
+            if own.last < self.end:
+                own.end(self._ends[side] - shift[side], to_end=True)
+            result.gaps[side], result.more_gaps[side] = own.found, own.more
 
     def _one(self, query: str, *values: object) -> int:
         found: int = self._database.execute(query, values).fetchone()[0]
         return found
+
+
+class _Silences:
+    """Finds the silences of one side of a topic, and tells those that are the other side's, too.
+
+    Args:
+        least: ns that a silence lasts at least.
+        shift: ns to add for the time of the side's own clock.
+
+    Attributes:
+        last: ns, time of the newest message, or `_NEVER`.
+        found, more: as `AuditedTopic.gaps` and `more_gaps`.
+    """
+
+    def __init__(self, least: int, shift: int) -> None:
+        self.found: list[SilentTime] = []
+        self.more = 0
+        self.last = self._other = _NEVER
+        self._others = self._longest = 0
+        self._least = least
+        self._shift = shift
+
+    def begin(self, time: int) -> None:
+        self.last = self._other = time
+        self._others = self._longest = 0
+
+    def hear_other(self, time: int) -> None:
+        """Take in a message of the other side."""
+        self._longest = max(self._longest, time - self._other)
+        self._other = time
+        self._others += 1
+
+    def end(self, time: int, *, to_end: bool) -> None:
+        """Add the silence that lasts until `time`, if it is one."""
+        length = time - self.last
+        if self.last == _NEVER or length <= self._least:
+            return
+        if len(self.found) == GAPS_KEPT:
+            self.more += 1
+            return
+        longest = max(self._longest, time - self._other)
+        if 2 * longest >= length and length - longest <= self._least:
+            others = 0  # jitter has moved messages of the silence's ends into it
+        elif to_end and self._others > 1:
+            others = self._others
+        else:
+            others = max(self._others - 1, 0)  # a message at one of its ends has a counterpart, too
+        start, end = (each + self._shift for each in (self.last, time))
+        self.found.append(SilentTime(start / SECOND, end / SECOND, others, to_end))

@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
+from rsb_bridge.model.names import OF_EVERY_NODE
 from rsb_extras.audit.audited_topic import IN_FLIGHT, OPENING, Audit, AuditedTopic
 from rsb_extras.audit.directions import SECOND, OffsetBy, directions
-from rsb_extras.audit.recorded import new_database, read_recording
+from rsb_extras.audit.recorded import index_topics, new_database
+from rsb_extras.audit.recording_files import read_recording
 from rsb_extras.audit.topic_pairs import PairError, PairText, is_named, pair_topics
 from rsb_extras.audit.unanswered import CALL_TIME, GOAL_STATUS
 
@@ -48,13 +50,19 @@ class AuditOptions:
 
 
 class RecordingFacts(msgspec.Struct, frozen=True):
-    """One of the two recordings. Times are s since the epoch; `cut` is why the rest was not read, or empty."""
+    """One of the two recordings. Times are s since the epoch.
+
+    Attributes:
+        joined: number of recordings that stand behind another one in the same file.
+        cut: why the rest was not read, or empty.
+    """
 
     path: str
     messages: int
     topics: int
     first: float
     last: float
+    joined: int
     cut: str
 
 
@@ -83,8 +91,9 @@ class Breach(msgspec.Struct, frozen=True):
 
     Attributes:
         kind: ``lost``, ``doubled``, ``disordered``, ``latched_old``, ``latched_absent``, ``not_crossed``, ``call``,
-            ``goal``; ``shorter`` if a side where messages arrive has none for `count` seconds at its begin or end; or
-            ``nothing_compared`` if the recordings have no message or no time in common.
+            ``goal``; ``not_judged`` if both sides have a topic, and no message of it is the same; ``shorter`` if a side
+            where messages arrive has none for `count` seconds at its begin or end; or ``nothing_compared`` if the
+            recordings have no message or no time in common.
         name: of the topic, service, action or side.
     """
 
@@ -129,6 +138,7 @@ def compare(near_path: Path, far_path: Path, options: AuditOptions) -> AuditRepo
         near, far = read_recording(near_path, "near", database), read_recording(far_path, "far", database)
         paired = pair_topics(near, far, options.pairs, options.topics)
         _check_named(options, paired, near, far)
+        index_topics(database, ((pair.near, pair.far) for pair in paired.pairs))
         told = None if options.offset is None else round(options.offset * SECOND)
         ways, clocks = directions(
             database, near, far, paired.pairs, back=options.back, forth=options.forth, offset=told
@@ -219,6 +229,7 @@ def _facts(recording: ReadRecording) -> RecordingFacts:
         len(recording.topics),
         recording.first / SECOND,
         recording.last / SECOND,
+        recording.joined,
         recording.cut,
     )
 
@@ -226,10 +237,12 @@ def _facts(recording: ReadRecording) -> RecordingFacts:
 def _topic_breaches(topics: Iterable[AuditedTopic], paired: Paired, options: AuditOptions) -> Iterator[Breach]:
     for result in topics:
         yield from (Breach(kind, result.topic, count) for kind, count in result.breaches())
-        if result.nothing_common and (
-            result.paired_by == "option" or is_named(options.topics, result.topic, result.far_topic)
-        ):
-            yield Breach("not_crossed", result.topic, result.near if result.way == "to_far" else result.far)
+        if result.nothing_common:
+            sent = result.near if result.way == "to_far" else result.far
+            if result.paired_by == "option" or is_named(options.topics, result.topic, result.far_topic):
+                yield Breach("not_crossed", result.topic, sent)
+            elif result.topic not in OF_EVERY_NODE:
+                yield Breach("not_judged", result.topic, sent)
     for topic in (*paired.only_near, *paired.only_far):
         if is_named(options.topics, topic.name):
             yield Breach("not_crossed", topic.name, topic.messages)

@@ -1,41 +1,43 @@
-"""Recordings as rows: each file is read once, and each message becomes a row of a database on disk.
+"""Recordings as rows: each message becomes a row of a database on disk.
 
-A row has the key of the message's content, its time and its sender. No content is kept, so memory does not grow with a
-recording; the disk holds about 60 bytes a message.
+A row has the keys of the message's content, its time and its sender. No content is kept, so memory does not grow with a
+recording; the disk holds about 70 bytes a message.
 """
 
 from __future__ import annotations
 
 import hashlib
-import re
 import sqlite3
-import struct
-import zlib
 from dataclasses import dataclass, field
-from io import BytesIO
-from typing import IO, TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import yaml
 import zstandard
 
+from rsb_bridge.cdr.description import DescriptionError, TypeDescription, hash_of_text, read_description
 from rsb_bridge.model.wording import Wording
+from rsb_bridge.ros.native.rosidl_descriptions import installed_description
+from rsb_extras.audit.defined_types import DefinitionError, defined_type
+from rsb_extras.audit.padding import Padding, PaddingError
 from rsb_extras.audit.unanswered import GOAL_STATUS, SERVICE_EVENTS, SeenCalls, SeenGoals
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterable
     from pathlib import Path
 
-_HEAD, _MESSAGE = struct.Struct("<BQ"), struct.Struct("<HIQQ")
-_MAGIC = b"\x89MCAP0\r\n"
-_SCHEMA, _CHANNEL, _IS_MESSAGE, _CHUNK, _DATA_END = 3, 4, 5, 6, 15  # opcodes of records
+LONGEST = 64 << 20
+"""Bytes of one record, unpacked. A round figure: chunks of rosbag2 have 1 MB, or one longer message."""
+_TOPICS = 10_000  # of a recording, with each publisher that it tells apart. A round figure
+_PROFILES, _ALL_PROFILES = 64 << 10, 1 << 20
+"""Bytes of one channel's QoS, and of all: 200 and 3,000 publishers. To parse 64 KiB takes 0.1 to 0.5 s."""
+_ALL_DEFINITIONS = 4 << 20  # bytes of all types' definitions: some 400 types
+_PARTS_AT_FIRST = 1_000_000
+"""Parts of messages that are looked at for padding, beside one for each byte of the file: some 0.5 s."""
 _SET_BACK = 500_000_000  # ns, above what writers may mix up. A round figure
 _MOST_SHIFT = 1 << 60  # ns, which the database still adds to any time
 _LATEST = (1 << 62) - 1  # ns; later times of a damaged file would not fit into the database when compared
-_LONGEST = 1 << 30
-"""Bytes of one record, chunks included. A round figure: rosbag2 writes chunks of less than 1 MB, and a message is at
-most as long as memory allows."""
-_SKIPPED = 1 << 20  # bytes that are read at once of what does not count
-_NUMBER = re.compile(r"(.+)_\d+\.mcap")  # of the files of a split bag
+_ZSTD = b"\x28\xb5\x2f\xfd"
+"""The first bytes of a message that rosbag2 has compressed (`--compression-mode message`). No CDR begins so."""
 _CACHE = 16 << 10
 """KiB that the database keeps in memory, and that each of up to four sorts takes. 64 MiB were no faster for 10 million
 messages."""
@@ -45,21 +47,20 @@ _LATCHED: dict[object, bool] = {"transient_local": True, 1: True, "volatile": Fa
 """Policies by their names (rosbag2 since Jazzy) and numbers (before)."""
 
 
-class UnreadableRecording(Wording):
-    """Reasons why a recording cannot be read."""
+class Damage(Wording):
+    """Reasons why a recording is read up to some place only."""
 
-    NOT_INSTALLED = "mcap is not installed: pip install 'rsb-console[record]'"
-    NOT_THERE = "{path} cannot be read: {reason}"
-    NO_MCAP = "{path} is no MCAP file: record with `ros2 bag record --storage mcap`, or convert it"
-    NO_MCAP_WITHIN = "{path} has no file *.mcap: record with `ros2 bag record --storage mcap`, or convert it"
-    SEVERAL = "{path} has recordings of several names: give one of its files"
-    COMPRESSED = "{path} is compressed as a whole: unpack it with `zstd -d`"
-    EMPTY = "{path} has no message{cut}"
-    NO_ROOM = "the folder for temporary files cannot hold the audit ({reason}): set TMPDIR to one with more room"
+    BROKEN = "it is cut off or damaged ({kind})"
+    BROKEN_BAG = "it is cut off or damaged ({reason}): `sqlite3 FILE .recover` may save more"
+    TOO_LONG = "a record or message has more than {limit} MiB"
+    TOO_MANY = "it has more records than bytes"
+    TOPICS = "it has more than {limit:,} topics"
+    NO_BAG = "it has not the tables of rosbag2"
+    FOLLOWS = "what stands behind its end is no recording"
 
 
-class RecordingError(Exception):
-    """A recording cannot be read; the message says why, and what to do."""
+class DamageError(ValueError):
+    """A recording cannot be read further; the message says why."""
 
 
 class Offer(NamedTuple):
@@ -74,8 +75,11 @@ class TopicRows:
     """The messages of a topic in one recording.
 
     Attributes:
-        table: of the database, with `key`, `time` (ns) and `sender` of each message, and `shift`: ns by which the clock
-            was set back before it, as far as the topic's own messages show it.
+        table: of the database, with `key`, `plain`, `time` (ns) and `sender` of each message, and `shift`: ns by which
+            the clock was set back before it, as far as the topic's own messages show it. `plain` is the key of its
+            content without padding.
+        described: whether the recording describes its type, so that `plain` is known.
+        key: the column that is compared.
         messages: number of them.
         latest, shift: of its last message.
         senders: numbers of the publishers, by what the recording calls them; rosbag2 tells none apart.
@@ -85,6 +89,8 @@ class TopicRows:
     name: str
     type_name: str
     table: str
+    described: bool = True
+    key: str = "key"
     messages: int = 0
     latest: int = 0
     shift: int = 0
@@ -112,6 +118,7 @@ class ReadRecording:
         files: those of a folder.
         topics: by name and type.
         first, last: ns, log times of messages, or 0 if there is none.
+        joined: number of recordings that stand behind another one in the same file.
         cut: why the rest was not read, or empty.
         calls: by service.
         goals: by action.
@@ -123,6 +130,7 @@ class ReadRecording:
     messages: int = 0
     first: int = 0
     last: int = 0
+    joined: int = 0
     cut: str = ""
     calls: dict[str, SeenCalls] = field(default_factory=dict)
     goals: dict[str, SeenGoals] = field(default_factory=dict)
@@ -138,31 +146,7 @@ def new_database() -> sqlite3.Connection:
     return database
 
 
-def read_recording(path: Path, side: str, database: sqlite3.Connection) -> ReadRecording:
-    """Read a file, or the files of a rosbag2 folder, into tables whose names begin with `side`.
-
-    Raises:
-        RecordingError: it is no recording, or has no message.
-    """
-    recording = ReadRecording(path, _files_of(path))
-    rows = _Rows(recording, side, database)
-    for file in recording.files:
-        try:
-            with file.open("rb") as opened:
-                cut = _read(opened, file, rows)
-        except OSError as error:
-            raise RecordingError(UnreadableRecording.NOT_THERE(path=file, reason=error.strerror or error)) from None
-        if cut:
-            recording.cut = cut if file == path else f"{file.name}: {cut}"
-    rows.write()
-    for topic in recording.topics.values():  # sorted once, for all that is asked of it
-        database.execute(f"CREATE INDEX {topic.table}_keys ON {topic.table} (key, time, sender)")
-    if not recording.messages:
-        raise RecordingError(UnreadableRecording.EMPTY(path=path, cut=recording.cut and f": {recording.cut}"))
-    return recording
-
-
-def content_key(content: memoryview, *, is_cdr: bool) -> int:
+def content_key(content: bytes | memoryview, *, is_cdr: bool) -> int:
     """Return a number of 64 bits by which messages with the same content are found.
 
     Of CDR, the two bytes of options do not count, and neither does whether the end is padded to a multiple of 4, as
@@ -177,12 +161,15 @@ def content_key(content: memoryview, *, is_cdr: bool) -> int:
     return int.from_bytes(made.digest(), "little", signed=True)
 
 
+_Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+
+
 def offers_of(profiles: str) -> list[Offer]:
     """Parse ``offered_qos_profiles`` of a channel, as rosbag2 writes it; what is not understood is unknown."""
-    if "&" in profiles:  # no profile has anchors, a few lines of which may fill the memory
+    if len(profiles) > _PROFILES or "&" in profiles:  # no profile has anchors, a few lines of which may fill the memory
         return []
     try:
-        parsed = yaml.safe_load(profiles)
+        parsed = yaml.load(profiles, _Loader)  # noqa: S506 -- the safe one
     except (yaml.YAMLError, ValueError, RecursionError):  # ValueError: a date that is none
         return []
     if not isinstance(parsed, list):
@@ -198,184 +185,140 @@ def _policy(known: dict[object, bool], value: object) -> bool | None:
     return known.get(value) if isinstance(value, str | int) else None
 
 
-def _files_of(path: Path) -> list[Path]:
-    try:
-        if not path.is_dir():
-            return [path]
-        names = [each.name for each in path.iterdir()]
-    except OSError as error:
-        raise RecordingError(UnreadableRecording.NOT_THERE(path=path, reason=error.strerror)) from None
-    if any(name.endswith(".mcap.zstd") for name in names):
-        raise RecordingError(UnreadableRecording.COMPRESSED(path=path))
-    found = [name for name in names if name.endswith(".mcap")]
-    if not found:
-        raise RecordingError(UnreadableRecording.NO_MCAP_WITHIN(path=path))
-    numbered = {name: _NUMBER.fullmatch(name) for name in found}
-    if len({match[1] if match else name for name, match in numbered.items()}) > 1:
-        raise RecordingError(UnreadableRecording.SEVERAL(path=path))
-    return [path / name for name in sorted(found, key=lambda name: (len(name), name))]  # _10 behind _9
+class RecordedChannel(NamedTuple):
+    """A topic as one publisher has it, in one file."""
 
-
-def _read(opened: IO[bytes], path: Path, rows: _Rows) -> str:
-    """Read a file, and return why its end was not read, or an empty text."""
-    try:
-        import mcap.records  # noqa: F401, PLC0415 -- everything else does without
-    except ImportError:
-        raise RecordingError(UnreadableRecording.NOT_INSTALLED()) from None
-    magic = opened.read(len(_MAGIC))
-    if not _MAGIC.startswith(magic):
-        raise RecordingError(UnreadableRecording.NO_MCAP(path=path))
-    if len(magic) < len(_MAGIC):
-        return "it is cut off or damaged (EOFError)"
-    rows.begin_file()
-    try:
-        for kind, record in _records(opened):
-            rows.add_record(kind, record)
-    except (sqlite3.Error, OSError):
-        raise
-    # What the libraries of MCAP, zstd and lz4 raise has no common class.
-    except Exception as error:  # noqa: BLE001
-        return f"it is cut off or damaged ({type(error).__name__})"
-    return ""
-
-
-def _records(opened: IO[bytes]) -> Iterator[tuple[int, bytes]]:
-    """Yield the records that count, up to the end of the data. The library's reader spends a fifth more on indices.
-
-    Raises:
-        EOFError: the file ends earlier.
-    """
-    while len(head := opened.read(_HEAD.size)) == _HEAD.size:
-        kind, length = _HEAD.unpack(head)
-        if kind == _DATA_END:
-            return
-        if length > _LONGEST:
-            raise OverflowError
-        if kind not in (_SCHEMA, _CHANNEL, _IS_MESSAGE, _CHUNK):
-            while length and (skipped := opened.read(min(length, _SKIPPED))):  # a pipe cannot seek
-                length -= len(skipped)
-            continue
-        record = opened.read(length)
-        if len(record) < length:
-            break
-        yield kind, record
-    raise EOFError
-
-
-def unpacked(chunk: Any) -> bytes:
-    """Return the content of a chunk. The library's own function takes as much memory as a file asks for."""
-    size = chunk.uncompressed_size
-    if size > _LONGEST:
-        raise OverflowError
-    data: bytes = chunk.data
-    if chunk.compression == "zstd":
-        data = zstandard.ZstdDecompressor().stream_reader(data).read(size)
-    elif chunk.compression == "lz4":
-        from lz4.frame import LZ4FrameDecompressor  # noqa: PLC0415 -- comes with mcap
-
-        data = LZ4FrameDecompressor().decompress(data, max_length=size)
-    elif chunk.compression:
-        raise NotImplementedError(chunk.compression)
-    # A damaged chunk would look like losses.
-    if len(data) != size or chunk.uncompressed_crc not in (0, zlib.crc32(data)):
-        raise ValueError
-    return data
-
-
-class _Channel(NamedTuple):
     topic: TopicRows
     sender: int
     is_cdr: bool
+    padding: Padding | None
     watch: Callable[[memoryview, int], None] | None
 
 
-class _Rows:
-    """Makes rows of the records of MCAP files."""
+class RecordingRows:
+    """Makes rows of the messages of one recording.
+
+    Attributes:
+        recording: is filled.
+    """
 
     def __init__(self, recording: ReadRecording, side: str, database: sqlite3.Connection) -> None:
-        self._recording = recording
+        self.recording = recording
         self._side = side
         self._database = database
-        self._held: dict[str, list[tuple[int, int, int, int]]] = {}
-        self._count = 0
-        self.begin_file()
+        self._held: dict[str, list[tuple[int, int, int, int, int]]] = {}
+        self._count = self._senders = self._profiles = self._definitions = 0
+        self._parts = _PARTS_AT_FIRST
+        self._paddings: dict[tuple[str, str, bytes], Padding | None] = {}
+        self._unpack = zstandard.ZstdDecompressor(max_window_size=LONGEST)
 
-    def begin_file(self) -> None:
-        """Forget the ids of schemas and channels, which each file has its own of."""
-        self._types: dict[int, str] = {}
-        self._channels: dict[int, _Channel] = {}
+    def pass_bytes(self, count: int) -> None:
+        """Take note that so many bytes of a file were read."""
+        self._parts += count
 
-    def add_record(self, kind: int, record: bytes | memoryview) -> None:
-        from mcap.data_stream import ReadDataStream  # noqa: PLC0415
-        from mcap.records import Channel, Chunk, Schema  # noqa: PLC0415
+    def channel(
+        self, name: str, type_name: str, encoding: str, profiles: str, definition: tuple[str, bytes], *,
+        type_hash: str = "", publisher: str = "",
+    ) -> RecordedChannel:  # fmt: skip
+        """Return a channel for messages of one topic and publisher.
 
-        if kind == _IS_MESSAGE:
-            channel, _, time, _ = _MESSAGE.unpack_from(record)
-            self._add_message(channel, time, memoryview(record)[_MESSAGE.size :])
-        elif kind == _CHANNEL:
-            self._add_channel(Channel.read(ReadDataStream(BytesIO(record))))
-        elif kind == _SCHEMA:
-            schema = Schema.read(ReadDataStream(BytesIO(record)))
-            self._types[schema.id] = schema.name
-        else:
-            self._add_chunk(unpacked(Chunk.read(ReadDataStream(BytesIO(record)))))
+        Args:
+            encoding: of the messages.
+            profiles: QoS of the publishers, as rosbag2 writes it.
+            definition: its encoding and text.
+            type_hash: as the recording has it, or empty.
+            publisher: name that tells publishers apart, or empty.
 
-    def _add_chunk(self, data: bytes) -> None:
-        # The library's own loop takes three times as long, as it makes an object of each message.
-        view, at, end = memoryview(data), 0, len(data)
-        while at < end:
-            kind, length = _HEAD.unpack_from(data, at)
-            at += _HEAD.size
-            if at + length > end:
-                raise EOFError
-            if kind == _IS_MESSAGE:
-                channel, _, time, _ = _MESSAGE.unpack_from(data, at)
-                self._add_message(channel, time, view[at + _MESSAGE.size : at + length])
-            elif kind in (_CHANNEL, _SCHEMA):
-                self.add_record(kind, view[at : at + length])
-            at += length
-
-    def _add_channel(self, record: Any) -> None:
-        if record.id in self._channels:  # some writers repeat it in each chunk
-            return
-        recording, name = self._recording, record.topic
-        type_name = self._types.get(record.schema_id, "").replace("/msg/", "/")
-        topic = recording.topics.get((name, type_name))
+        Raises:
+            DamageError: the recording has too many topics.
+        """
+        recording, short = self.recording, type_name.replace("/msg/", "/")
+        topic = recording.topics.get((name, short))
         if topic is None:
             table = f"{self._side}_{len(recording.topics)}"
-            self._database.execute(f"CREATE TABLE {table} (key INTEGER, time INTEGER, sender INTEGER, shift INTEGER)")
-            topic = recording.topics[name, type_name] = TopicRows(name, type_name, table)
+            columns = ", ".join(f"{each} INTEGER" for each in ("key", "plain", "time", "sender", "shift"))
+            self._database.execute(f"CREATE TABLE {table} ({columns})")
+            topic = recording.topics[name, short] = TopicRows(name, short, table)
             self._held[table] = []
-        publisher = record.metadata.get("publisher", "")
+        if publisher not in topic.senders:
+            self._senders += 1
+            if self._senders > _TOPICS:
+                raise DamageError(Damage.TOPICS(limit=_TOPICS))
         sender = topic.senders.setdefault(publisher, len(topic.senders))
-        offers = offers_of(record.metadata.get("offered_qos_profiles", ""))
+        self._profiles += len(profiles)
+        offers = offers_of(profiles) if self._profiles <= _ALL_PROFILES else []
         # The next file of a split recording has the channel again.
         topic.offers[publisher] = max(offers, topic.offers.get(publisher, []), key=len)
+        is_cdr = encoding == "cdr"
+        padding = self._padding(type_name, definition, type_hash) if is_cdr else None
+        if padding is None and is_cdr:
+            topic.described = False
         watch = None
         if name.endswith(SERVICE_EVENTS):
             watch = recording.calls.setdefault(name.removesuffix(SERVICE_EVENTS), SeenCalls()).add
         elif name.endswith(GOAL_STATUS):
             watch = recording.goals.setdefault(name.removesuffix(GOAL_STATUS), SeenGoals()).add
-        self._channels[record.id] = _Channel(topic, sender, record.message_encoding == "cdr", watch)
+        return RecordedChannel(topic, sender, is_cdr, padding, watch)
 
-    def _add_message(self, channel_id: int, time: int, content: memoryview) -> None:
-        topic, sender, is_cdr, watch = self._channels[channel_id]
-        time = min(time, _LATEST)
+    def _padding(self, type_name: str, definition: tuple[str, bytes], type_hash: str) -> Padding | None:
+        encoding, text = definition
+        known = type_name, type_hash, hashlib.sha256(text).digest()
+        if known not in self._paddings:
+            self._definitions += len(text)
+            described = None
+            if encoding == "ros2msg" and self._definitions <= _ALL_DEFINITIONS:
+                described = _defined(type_name, text)
+            described = described or _installed(type_name, type_hash)
+            try:
+                self._paddings[known] = None if described is None else Padding(described)
+            except PaddingError:
+                self._paddings[known] = None
+        return self._paddings[known]
+
+    def add(self, channel: RecordedChannel, time: int, content: bytes | memoryview) -> None:
+        """Add a message.
+
+        Raises:
+            DamageError: it is too long.
+            zstandard.ZstdError: it cannot be unpacked.
+        """
+        topic, sender, is_cdr, padding, watch = channel
+        if is_cdr and content[:4] == _ZSTD:
+            content = self._unpacked(content)
+        time = max(min(time, _LATEST), -_LATEST)
         # A recorder writes a topic's messages as they come, so that an earlier time means that its clock was set.
         if time < topic.latest - _SET_BACK:
             topic.shift = min(topic.shift + topic.latest - time, _MOST_SHIFT)
         topic.latest = time
-        self._held[topic.table].append((content_key(content, is_cdr=is_cdr), time, sender, topic.shift))
+        key = plain = content_key(content, is_cdr=is_cdr)
+        if padding is not None and topic.described:
+            try:
+                cleared, parts = padding.cleared(content, self._parts)
+            except PaddingError:
+                topic.described = False
+            else:
+                self._parts -= parts
+                if cleared is not None:
+                    plain = content_key(cleared, is_cdr=True)
+        self._held[topic.table].append((key, plain, time, sender, topic.shift))
         topic.messages += 1
-        recording = self._recording
+        recording = self.recording
         recording.first = min(recording.first, time) if recording.messages else time
         recording.last = max(recording.last, time)
         recording.messages += 1
         if watch is not None:
-            watch(content, time)
+            watch(memoryview(content), time)
         self._count += 1
         if self._count >= ROWS_HELD:
             self.write()
+
+    def _unpacked(self, content: bytes | memoryview) -> bytes:
+        # The library reserves what the message asks for.
+        size = zstandard.get_frame_parameters(content).content_size
+        if size > LONGEST and size != zstandard.CONTENTSIZE_UNKNOWN:
+            raise DamageError(Damage.TOO_LONG(limit=LONGEST >> 20))
+        found: bytes = self._unpack.decompress(content, max_output_size=LONGEST)
+        return found
 
     def write(self) -> None:
         """Write the held rows to the database."""
@@ -384,12 +327,25 @@ class _Rows:
         self._count = 0
 
 
+def index_topics(database: sqlite3.Connection, pairs: Iterable[tuple[TopicRows, TopicRows]]) -> None:
+    """Choose what is compared of pairs of topics, and sort it once, for all that is asked of it.
+
+    Without padding if both recordings describe the type: one that is told by one of them only makes equal messages
+    differ.
+    """
+    for pair in pairs:
+        described = all(topic.described for topic in pair)
+        for topic in pair:
+            topic.key = "plain" if described else "key"
+            database.execute(f"CREATE INDEX {topic.table}_keys ON {topic.table} ({topic.key}, time, sender)")
+
+
 def view(database: sqlite3.Connection, **views: tuple[TopicRows, int]) -> None:
     """Give tables of topics, with an offset of their times, the names that queries have."""
     for name, (topic, offset) in views.items():
         database.execute(f"DROP VIEW IF EXISTS {name}")
         # `turn` has the order in which they were recorded, also where the clock was set back.
-        columns = f"key, time - {offset} AS time, sender, time - {offset} + shift AS turn"
+        columns = f"{topic.key} AS key, time - {offset} AS time, sender, time - {offset} + shift AS turn"
         rows = f"SELECT {columns} FROM {topic.table}"  # noqa: S608 -- names of our own
         database.execute(f"CREATE TEMP VIEW {name} AS {rows}")
 
@@ -399,3 +355,24 @@ def insert(database: sqlite3.Connection, table: str, rows: list[Any]) -> None:
     if rows:
         database.executemany(f"INSERT INTO {table} VALUES ({','.join('?' * len(rows[0]))})", rows)  # noqa: S608
         rows.clear()
+
+
+def _defined(type_name: str, text: bytes) -> TypeDescription | None:
+    try:
+        return defined_type(type_name, text.decode())
+    except (DefinitionError, UnicodeDecodeError):
+        return None
+
+
+def _installed(type_name: str, type_hash: str) -> TypeDescription | None:
+    """Return the description of a type that is installed here, if it may be the recording's."""
+    try:
+        text = installed_description(type_name)
+    except ValueError:
+        return None
+    if text is None or type_hash not in ("", hash_of_text(text)):
+        return None
+    try:
+        return read_description(text, hash_of_text(text))
+    except DescriptionError:
+        return None

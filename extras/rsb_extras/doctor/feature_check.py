@@ -12,14 +12,14 @@ from rsb_bridge.model.purposes import purposes
 from rsb_bridge.wire.codec import control_messages
 from rsb_console.actions.all_actions import screens
 from rsb_console.command.ways import ways
-from rsb_console.notation import topic_column
+from rsb_console.notation import link_fact, topic_column
 from rsb_console.notation.console_setting import feature_settings
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-_ASKED_AS_IMPORTED = (protocol, topic_column)
-"""Modules that ask the features for commands and columns."""
+_ASKED_AS_IMPORTED = (protocol, topic_column, link_fact)
+"""Modules that ask the features for commands, columns and facts of links."""
 
 
 def features() -> Iterator[Finding]:

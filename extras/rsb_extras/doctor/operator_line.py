@@ -111,7 +111,7 @@ class Bunches(NamedTuple):
         return cls(what, size, apart) if size >= _BUNCHED else None
 
 
-class Arrivals(NamedTuple):
+class BunchTimes(NamedTuple):
     """Times (s) at which answers and keys came."""
 
     answers: list[float]
@@ -138,7 +138,7 @@ def _line(environ: Mapping[str, str]) -> Iterator[Finding]:
     else:
         with AskedTerminal(sys.stdin.fileno()) as terminal:
             line = terminal.measure()
-            arrivals = Arrivals([], []) if line is None else terminal.watch()
+            arrivals = BunchTimes([], []) if line is None else terminal.watch()
         facts = facts_before_answers(environ, 1)
         if line is not None:
             facts = ask(facts, environ, 0, 1)
@@ -219,9 +219,9 @@ class AskedTerminal:
                 return Line(round_trip, size / beyond)
         return Line(round_trip, None)
 
-    def watch(self) -> Arrivals:
+    def watch(self) -> BunchTimes:
         """Ask again and again, and return when answers and keys came."""
-        found, rest = Arrivals([], []), b""
+        found, rest = BunchTimes([], []), b""
         began = asked_at = self._clock()
         while (now := self._clock()) < began + (_WHILE_KEYS_COME if found.keys else _WATCHED_FOR):
             if now >= asked_at:

@@ -15,9 +15,11 @@ from typing import TYPE_CHECKING
 from rsb_bridge.model.finding import Check, Finding, Grade
 from rsb_bridge.model.limits import DOMAIN, SAFE_DOMAIN, dds_ports
 from rsb_bridge.model.wording import Wording
-from rsb_bridge.ros.distribution import check_middleware, described, distribution, rclpy_version
+from rsb_bridge.ros.discovery import RANGE, SERVERS, SUPER_CLIENT, Discovery, DiscoveryText, is_off
+from rsb_bridge.ros.distribution import check_middleware, check_shared_memory, described, distribution, rclpy_version
 from rsb_bridge.ros.memory import PROFILE_VARIABLES
 from rsb_bridge.ros.ros_interface import RosError
+from rsb_bridge.ros.security import Security
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -54,6 +56,9 @@ class RosText(Wording):
     DOMAIN_COLLIDES = (
         "domain {domain} uses UDP ports {ports}, which Linux gives to other programs, too; {range} does not"
     )
+    HIDDEN = "ROS_AUTOMATIC_DISCOVERY_RANGE is OFF: ROS finds no other node, so a bridge carries nothing"
+    SERVER_REMEDY = "fast-discovery-server -i {place} -p {port}, on the machine {host}; or correct ROS_DISCOVERY_SERVER"
+    KEYS = "keystore {keystore}, enclave {enclave}"
     LOCALHOST_ONLY = (
         "ROS_LOCALHOST_ONLY=1 overrides ROS_AUTOMATIC_DISCOVERY_RANGE and ROS_STATIC_PEERS, and is obsolete"
     )
@@ -76,6 +81,8 @@ def checks(
     return (
         Check("ros", "ROS", partial(_ros, environ, self_test, root)),
         Check("ros_domain", "ROS domain", partial(_environment, environ, own_domain)),
+        Check("ros_discovery", "ROS discovery", partial(_discovery, environ)),
+        Check("ros_security", "ROS security", partial(_security, environ)),
     )
 
 
@@ -88,8 +95,9 @@ def _ros(environ: Mapping[str, str], self_test: Sequence[str], root: Path) -> It
     facts = {"distribution": distribution(), "rclpy": rclpy_version()}
     finding = partial(Finding, "ros", subject="ROS", facts=facts)
     try:
-        # Before the self-test: rcl ends the process of a wrong middleware without a word on the remedy.
+        # Before the self-test, whose process would end without a word on the remedy.
         check_middleware(environ)
+        check_shared_memory()
     except RosError as error:
         yield finding(grade=Grade.ERROR, text=str(error))
         return
@@ -171,6 +179,8 @@ def _environment(environ: Mapping[str, str], own_domain: int | None) -> Iterator
     elif int(value) not in SAFE_DOMAIN:
         text = RosText.DOMAIN_COLLIDES(domain=value, ports=dds_ports(int(value)), range=SAFE_DOMAIN)
         yield finding(grade=Grade.WARNING, text=text, remedy=remedy)
+    elif is_off(environ):
+        yield finding(grade=Grade.ERROR, text=RosText.HIDDEN(), remedy=f"unset {RANGE}")
     elif reach.upper() in _RANGES:
         yield finding(grade=Grade.OK, text=RosText.DOMAIN(domain=value, range=_RANGES[reach.upper()]))
     if reach.upper() not in _RANGES:
@@ -184,3 +194,33 @@ def _environment(environ: Mapping[str, str], own_domain: int | None) -> Iterator
         if path and not Path(path).is_file():
             text = f"{variable} names {path}, which does not exist: Fast DDS ignores it"
             yield finding(grade=Grade.WARNING, text=text, remedy=f"unset {variable}, or correct the path")
+
+
+def _discovery(environ: Mapping[str, str]) -> Iterator[Finding]:
+    discovery = Discovery(environ)
+    facts = {name: environ[name] for name in (SERVERS, SUPER_CLIENT) if name in environ}
+    finding = partial(Finding, "ros_discovery", subject="ROS discovery", facts=facts)
+    if discovery.is_broken and not is_off(environ):
+        yield finding(grade=Grade.ERROR, text=discovery.found, remedy=f"export {SERVERS}=10.0.0.1:11811")
+    problems = discovery.problems()
+    # Several servers are for redundancy.
+    bad = Grade.ERROR if all(problems.values()) else Grade.WARNING
+    for server, problem in problems.items():
+        if problem:
+            remedy = RosText.SERVER_REMEDY(place=server.place, port=server.port, host=server.host)
+            yield finding(grade=bad, text=problem, remedy=remedy)
+        else:
+            yield finding(grade=Grade.OK, text=DiscoveryText.ANSWERS(server=server))
+
+
+def _security(environ: Mapping[str, str]) -> Iterator[Finding]:
+    security = Security(environ)
+    if not security.is_on:
+        return
+    facts = {name: environ[name] for name in environ if name.startswith("ROS_SECURITY_")}
+    finding = partial(Finding, "ros_security", subject="ROS security", facts=facts)
+    if problem := security.problem:
+        grade = Grade.ERROR if security.is_enforced else Grade.WARNING
+        yield finding(grade=grade, text=problem, remedy=security.remedy)
+    else:
+        yield finding(grade=Grade.OK, text=RosText.KEYS(keystore=security.keystore, enclave=security.enclave))

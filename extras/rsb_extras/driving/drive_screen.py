@@ -63,7 +63,10 @@ _WIDE, _BOX = 120, 44
 """Columns of a screen from which on the box stands at the side, and its own there."""
 _NAMED = 4
 """Robots in one line."""
-_WAYS_SHOWN = "↑↓←→ uiojlm,."
+_ARROWS = "↑↓←→"
+_WAYS_SHOWN = f"{_ARROWS} uiojlm,."
+_WAYS_BOX = ("u i o     ↖ ↑ ↗", "j k l     ← ■ →", "m , .     ↙ ↓ ↘")
+"""The letters as they lie on the keyboard, and the way of each; where there is room."""
 _KEYS = ("space stop", "+- speed", "A arm", "esc leave")
 
 
@@ -458,7 +461,8 @@ class DriveScreen(GuardedScreen, SideBox[None]):
         keys = (drive, *_KEYS)
         is_wide = self.size.width >= _WIDE
         if is_wide:  # at the side, a line is short
-            lines += (Content(""), *(Content.styled(key, "$quiet") for key in keys))
+            drive = f"hold {_ARROWS} to drive, or one of" if self._is_relayed() else f"{_ARROWS} drive, or one of"
+            lines += (Content(""), *(Content.styled(key, "$quiet") for key in (drive, *_WAYS_BOX, *_KEYS)))
         self._pane.update(Content("\n").join(lines))
         self._pane.set_class(is_armed, "-armed")
         self._pane.border_subtitle = Content("" if is_wide else f" {' · '.join(keys)} ")

@@ -33,10 +33,10 @@ from rsb_bridge.ros.ros_interface import Endpoint, RosError, TopicSpec
 from rsb_bridge.route.arming import without_history
 from rsb_bridge.route.crossing import Crossing
 from rsb_bridge.route.gates import why_not_by_hand
+from rsb_bridge.route.listeners import audience, mismatch
 from rsb_bridge.route.peeking import PeekError
 from rsb_bridge.route.receiver import Receiver
 from rsb_bridge.route.sender import Sender
-from rsb_bridge.route.topic_verdict import audience, mismatch
 from rsb_bridge.wire.messages import ByHand
 from rsb_extras.driving.publish_requests import Draft, DraftMessage, Publish, Published
 

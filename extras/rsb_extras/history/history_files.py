@@ -17,6 +17,7 @@ from rsb_bridge.model.names import file_stem
 from rsb_bridge.model.snapshot import Event, Level
 from rsb_extras.history.bridge_files import Claim, Files
 from rsb_extras.history.history_codes import HistoryCode
+from rsb_extras.history.recorder import SET_WITHIN
 from rsb_extras.history.timeline import FROM_THE_FUTURE, VERSION, Saved, Timeline, is_from_the_future
 
 if TYPE_CHECKING:
@@ -241,9 +242,6 @@ figure."""
 _ANSWERED_WITHIN = 10.0
 """s for an answer of the recorder's thread: at most 0.26 s in bench/README."""
 SET_ASIDE = ".bad"
-_SET_WITHIN = 600.0
-"""s in which the clock of a machine that starts without the time is set, by NTP over a network that has to come first.
-A round figure."""
 
 
 class Disk:
@@ -347,7 +345,7 @@ class Disk:
                 self._left = saved, tuple(read_events(self._files.events, saved.time))  # before ours are among them
             saved, events = self._left
             now, wall = self._clock.steady(), self._clock.time_ns() / 1e9
-            if is_from_the_future(saved, wall) and now - self._began < _SET_WITHIN:
+            if is_from_the_future(saved, wall) and now - self._began < SET_WITHIN:
                 return
             self._recorder.ask(lambda: self._recorder.restore(saved, events)).result(_ANSWERED_WITHIN)
         except TimeoutError:  # of the recorder, but an OSError, which `turn` would take for the disk's

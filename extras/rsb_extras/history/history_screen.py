@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 SPANS = (3600.0, 8 * 3600.0, 24 * 3600.0)
 _RENEWED_EVERY = 5.0  # s; a round figure: an outage is shown at most so much later
 _SUMMARY_LINES = 6  # a round figure; `rsb-console report` has the others
+_SUMMARY_SHARE = 3  # a third of the lines that the frame, keys, headings and gaps leave
+_OTHER_LINES = 10  # those
 _DETAIL_LINES = 4
 _COLUMNS = (("START", 13), ("LENGTH", 14), ("ROBOT", 16), ("TOPIC", 40), ("STATE", 12))
 """Headings, and the most cells of each column with its blank: the longest start is "Mon 12:34:56"."""
@@ -243,11 +245,16 @@ class HistoryScreen(ModalScreen[None]):
         if self._problem:
             yield ((self._problem, "down"),)
         lines = list(history_report.totals(report))
-        width = max(20, self.summary.size.width)
+        room, left_out = max(1, (self.size.height - _OTHER_LINES) // _SUMMARY_SHARE), len(lines)
         for line in lines[:_SUMMARY_LINES]:
-            yield from (((text, ""),) for text in textwrap.wrap(line, width, subsequent_indent="  "))
-        if len(lines) > _SUMMARY_LINES:
-            more = formats.counted(len(lines) - _SUMMARY_LINES, "more line")
+            wrapped = textwrap.wrap(line, max(20, self.summary.size.width), subsequent_indent="  ")
+            room -= len(wrapped)
+            if room < 0 and left_out < len(lines):
+                break
+            left_out -= 1
+            yield from (((text, ""),) for text in wrapped)
+        if left_out:
+            more = formats.counted(left_out, "more line")
             yield ((HistoryText.LINES_LEFT_OUT(more=more, name=report.name), "dim"),)
         if report.outages_left_out:
             more = formats.counted(report.outages_left_out, "more outage")
@@ -258,6 +265,9 @@ class HistoryScreen(ModalScreen[None]):
     def _show_detail(self) -> None:
         row = self.table.selected
         self.detail.put([] if row is None else list(_detail(row, self.detail.size.width or 80, self._span)))
+
+    def on_resize(self) -> None:
+        self.show()
 
     def on_selectable_list_cursor_moved(self) -> None:
         self._show_detail()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import queue
 import threading
 from concurrent.futures import Future
@@ -23,6 +24,9 @@ if TYPE_CHECKING:
 
 _SET_BY = 2.0
 """s by which the wall clock must jump to count as set."""
+SET_WITHIN = 600.0
+"""s in which the clock of a machine that starts without the time is set, by NTP over a network that has to come first.
+A round figure."""
 T = TypeVar("T")
 _EVERY = 1.0  # s, as often as the engine makes a snapshot
 _GAP = 30.0
@@ -107,6 +111,7 @@ class Recorder:
         self._axis = ClockAxis(clock.steady(), clock.time_ns() / 1e9)
         self._seen: Snapshot | None = None
         self._observed = self._axis.now
+        self._trusted_at = math.inf  # on the steady clock: from then on, the wall clock is right, and the past is not
         self._followed = 0
         self._work: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._asking = threading.Lock()
@@ -205,7 +210,9 @@ class Recorder:
             raise ValueError(FROM_THE_FUTURE)
         self._timeline = Timeline.restore(saved, self._name, self._role)
         self._timeline.go_on(each for each in events if each.time - wall <= KEPT_FOR)
-        self._axis = ClockAxis(self._clock.steady(), wall, floor=self._timeline.last)
+        steady = self._clock.steady()
+        self._axis = ClockAxis(steady, wall, floor=self._timeline.last)
+        self._trusted_at = steady + SET_WITHIN
         self._observed = self._axis.now
         # The dropped time line had the events of this process so far; the new one gets them again.
         self._followed, self._seen = 0, None
@@ -219,6 +226,9 @@ class Recorder:
             timeline.cut()
         if axis.jump:
             self._clock_set(wall)
+        elif self._clock.steady() >= self._trusted_at:
+            self._trusted_at = math.inf
+            self._was_ahead(axis.now - wall, wall)
         self._follow()
         snapshot, seen = self._latest(), self._seen
         if not snapshot.running:
@@ -260,6 +270,15 @@ class Recorder:
         self._observed += moved
         direction = "forward" if jump > 0 else "back"
         text = f"the clock was set {direction} by {_span(abs(jump))}; the time line since the start moves with it"
+        self._events.add(Level.WARNING, HistoryCode.CLOCK_SET, text)
+
+    def _was_ahead(self, seconds: float, wall: float) -> None:
+        """Go on from the wall clock's time, and move what came before, if an earlier process was so far ahead."""
+        if seconds <= _SET_BY:
+            return
+        self._timeline.move_back(seconds)
+        self._observed += self._axis.set(wall, wall)
+        text = f"the clock of an earlier process was ahead by {_span(seconds)} or more; its time line moves back"
         self._events.add(Level.WARNING, HistoryCode.CLOCK_SET, text)
 
 

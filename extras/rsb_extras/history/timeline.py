@@ -247,13 +247,35 @@ class Timeline:
             return
         self._catch_up()
         since, until = self._run
+        self._move_from(since, seconds)
+        self._run = (since + seconds, until + seconds)
+
+    def move_back(self, seconds: float) -> None:
+        """Shift the end of the past, and this run, because the clock of an earlier process was ahead.
+
+        These are the runs that end less than `seconds` before this one began, and those that would be run over.
+        """
+        self._catch_up()
+        runs = [*self._runs, *((self._run,) if self._run else ())]
+        first = len(runs) - 1
+        while first > 0 and runs[first - 1][1] > runs[first][0] - seconds:
+            first -= 1
+        if first < 0:
+            return
+        self._move_from(runs[first][0], -seconds)
+        moved = [(since - seconds, until - seconds) for since, until in runs[first:]]
+        if self._run is not None:
+            self._run = moved.pop()
+        runs[first:] = moved
+        self._runs = deque(runs[: first + len(moved)], maxlen=_RUNS)
+
+    def _move_from(self, since: float, seconds: float) -> None:
         for record in self._records.values():
             record.move(since, seconds)
         for events in (self._did, self._happened):
             moved = [replace(each, time=each.time + seconds) if each.time >= since else each for each in events]
             events.clear()
             events.extend(moved)
-        self._run = (since + seconds, until + seconds)
 
     def earliest(self, now: float) -> float:
         """Return the earliest time that may count as now, so that this run does not begin before the last one ended."""

@@ -33,8 +33,9 @@ UP = (State.OK, State.UNHEARD)
 """Messages cross as they should; that nobody hears them is no outage."""
 CROSSES = (*UP, State.LATE)
 """States in which messages cross. The times in which a topic is late are listed, but count as up."""
-FINE = (*UP, State.PAUSED, State.DISARMED, State.DISARMING)
-"""A pause is wanted, and so is what nobody has armed; it counts neither as up nor as out."""
+_CROSSES_BADLY = (State.LATE, State.SLOW)
+FINE = (*UP, *(state for state in State if state.is_wanted))
+"""A pause is wanted, and so is what nobody has armed or hears; it counts neither as up nor as out."""
 OUTAGES_OF_ONE = 100
 """Outages kept of each, so that one that flaps displaces nobody else's: 100 that flap fill
 `timeline.OUTAGES`."""
@@ -279,7 +280,10 @@ class TrackRecord:
             self._waits_for = reason
             self._end(now, link)
         elif self._open is not None:
-            if state is not State.WAITING:  # it opens again: what it waits for is not why it was out
+            if self._is_cut(self._open, state, link):
+                self._end(now, link)
+                self._open = _Open(now, state, reason, with_link=True)
+            elif state is not State.WAITING:  # it opens again: what it waits for is not why it was out
                 self._open.go_on(state, reason)
         elif not self._opening:
             self._open = _Open(now, state, reason, with_link=_follows(link, now))
@@ -288,6 +292,12 @@ class TrackRecord:
             # `_pass` has not counted these seconds, as it might have opened in time.
             self._out += now - self._born
             self._open = _Open(self._born, state, reason, with_link=link is not None and link.is_out)
+
+    @staticmethod
+    def _is_cut(outage: _Open, state: State, link: TrackRecord | None) -> bool:
+        """Whether the link's outage ends one in which messages crossed, if slowly: that was no part of it."""
+        crossed = outage.state in _CROSSES_BADLY and state not in _CROSSES_BADLY
+        return crossed and link is not None and link.is_out
 
     def goes_on(self, now: float) -> bool:
         """Whether `observe` need not be told that the last state lasts, and nothing was counted.
@@ -346,7 +356,7 @@ class TrackRecord:
             self._up += passed
         elif self._state is State.WAITING and self._open is None:
             self._waiting += passed
-        elif self._state not in (State.PAUSED, State.DISARMED, State.DISARMING) and not self._opening:
+        elif not self._state.is_wanted and not self._opening:
             self._out += passed
         if int(now // MINUTE) != self._minute:
             self._close_minute()

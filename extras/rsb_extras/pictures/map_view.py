@@ -139,13 +139,13 @@ class MapView(View):
         for _, layer, place in placed:
             _draw_points(canvas, paper, layer, place)
         draw_markers(canvas, markers, paper.dot, paper.dots_by_style)
+        if self._shows_frames:
+            self._draw_frames(canvas, paper, target, robots)
         for _, layer, place in placed:  # poses over all else
             if layer.pose is not None and layer.robot not in robots:
                 _draw_pose(canvas, paper, place.after(layer.pose), layer.style)
         for place in robots.values():
             _draw_pose(canvas, paper, place, "robot")
-        if self._shows_frames:
-            self._draw_frames(canvas, paper, target, robots)
         grids = [(layer.grid, place) for _, layer, place in placed if layer.grid is not None]
         if grids:
             lay_under(canvas, self._kinds(grids, paper, wish))

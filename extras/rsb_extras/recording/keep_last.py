@@ -29,7 +29,7 @@ class KeptRecording(msgspec.Struct, frozen=True):
         host: name of that machine.
         seconds: from the first message to the last.
         size: bytes of the file.
-        undescribed: topics without any message in it, as nobody describes their types; the first ones.
+        undescribed: topics whose types the file does not define, as nobody describes them; the first ones.
         too_large: messages without a place in the ring, since it was switched on.
     """
 

@@ -20,7 +20,6 @@ from rsb_bridge.engine.part import EnginePart
 from rsb_bridge.link.extension import LinkError
 from rsb_bridge.model.names import file_stem
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.model.text import join_first
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.ros.ros_interface import TopicSpec
 from rsb_bridge.route.receiver import Receiver
@@ -65,7 +64,6 @@ class KeepProblem(Wording):
     BUSY = "a recording is being written already: wait until it is done"
     NOT_WRITTEN = "{path} is not written: {reason}"
     FOLDER_FULL = "{folder} has {size:.1f} GB of recordings: move or remove some"
-    UNDESCRIBED = "nobody describes the types of what is kept: {topics}"
     STOPPED = "the bridge stops"
 
 
@@ -167,24 +165,22 @@ class Keeping(EnginePart):
             if not window.topics:
                 raise LinkError(KeepProblem.NOTHING_YET())
             described = await self._described(window.topics)
-            undescribed = [each.topic for each in window.topics if each not in described]
-            if not described:
-                raise LinkError(KeepProblem.UNDESCRIBED(topics=join_first(undescribed, TOPICS_NAMED)))
+            undescribed = [each.topic for each in described.values() if not each.description]
             kept = await self._written(window, described)
         kept = replace(kept, undescribed=tuple(undescribed[:TOPICS_NAMED]), too_large=ring.left_out)
         self._bridge.log.add(RecordCode.WRITTEN, f"{kept.messages:,} messages written to {kept.path}")
         return kept
 
     async def _described(self, topics: Sequence[TopicSpec]) -> dict[TopicSpec, RecordedTopic]:
-        """Return what a file says of topics, without those whose types nobody describes."""
+        """Return what a file says of topics."""
         found: dict[TopicSpec, RecordedTopic] = {}
         for each in topics:
-            text = await self._context.descriptions.find(each.type_name, each.type_hash, each.topic)
-            if text is None:
-                continue
-            with suppress(DescriptionError):
+            text = await self._context.descriptions.find(each.type_name, each.type_hash, each.topic) or ""
+            try:
                 message_definition(text)
-                found[each] = RecordedTopic(each.topic, each.type_name, each.type_hash, text, each.qos)
+            except DescriptionError:
+                text = ""
+            found[each] = RecordedTopic(each.topic, each.type_name, each.type_hash, text, each.qos)
         return found
 
     async def _written(self, window: _Window, described: Mapping[TopicSpec, RecordedTopic]) -> KeptRecording:
@@ -220,12 +216,10 @@ class Keeping(EnginePart):
     ) -> int:
         """Write the messages of a window, and return when the last one passed (ns since the epoch)."""
         began, last, unbroken = window.began, window.began, 0
-        topics = {id(each): described.get(each) for each in window.topics}
+        topics = {id(each): described[each] for each in window.topics}
         for is_latched, messages in ((True, window.latched), (False, window.messages)):
             for each in messages:
-                topic = topics.get(id(each.topic), described.get(each.topic))
-                if topic is None:
-                    continue
+                topic = topics.get(id(each.topic)) or described[each.topic]
                 last = began if is_latched else each.time
                 recording.add(topic, each.content, last, each.published, each.number)
                 unbroken += each.cost

@@ -39,7 +39,7 @@ class RecordedTopic(NamedTuple):
 
     Attributes:
         type_name: ``pkg/msg/Name``.
-        description: of the type, with its hash (`rsb_bridge.cdr.description`).
+        description: of the type, with its hash (`rsb_bridge.cdr.description`), or empty if nobody describes it.
         publisher: name of a node or a link, or empty for any.
     """
 
@@ -66,11 +66,11 @@ class McapFile:
 
     def __init__(self, file: IO[bytes]) -> None:
         try:
-            from mcap.writer import Writer  # noqa: PLC0415 -- bridges that record nothing do without
+            from mcap.writer import IndexType, Writer  # noqa: PLC0415 -- bridges that record nothing do without
         except ImportError:
             raise McapError(McapText.NOT_INSTALLED()) from None
         self.messages = 0
-        self._writer: Any = Writer(file)
+        self._writer: Any = Writer(file, index_types=IndexType.CHUNK | IndexType.MESSAGE)  # no empty groups
         self._writer.start(profile="ros2", library="rsb-console")
         self._schemas: dict[str, int] = {}
         self._channels: dict[RecordedTopic, int] = {}
@@ -81,7 +81,8 @@ class McapFile:
         Args:
             content: the serialized message (CDR).
             time: ns since the epoch, when it came to the place that records.
-            published: ns since the epoch, when it was published.
+            published: ns since the epoch, when it was published. If that is later, by another clock or an estimate,
+                `time` is written.
             number: among its publisher's messages, from 1, or 0 if unknown.
 
         Raises:
@@ -90,7 +91,7 @@ class McapFile:
         """
         channel = self._channels.get(topic) or self._channel(topic)
         # Clocks of publishers may say anything.
-        logged, stamp = (min(max(0, each), _LONGEST) for each in (time, published))
+        logged, stamp = (min(max(0, each), _LONGEST) for each in (time, min(time, published)))
         self._writer.add_message(channel, logged, content, stamp, number % _NUMBERS)
         self.messages += 1
 
@@ -99,11 +100,14 @@ class McapFile:
         self._writer.finish()
 
     def _channel(self, topic: RecordedTopic) -> int:
-        schema = self._schemas.get(topic.description)
+        key = topic.description or topic.type_name
+        schema = self._schemas.get(key)
         if schema is None:
-            definition = message_definition(topic.description)
-            schema = self._writer.register_schema(topic.type_name, "ros2msg", definition.encode())
-            self._schemas[topic.description] = schema
+            # As rosbag2, of a type without a definition: its name, and nothing else.
+            definition = message_definition(topic.description) if topic.description else ""
+            encoding = "ros2msg" if definition else ""
+            schema = self._writer.register_schema(topic.type_name, encoding, definition.encode())
+            self._schemas[key] = schema
         metadata = {"offered_qos_profiles": qos_profiles(topic.qos), "topic_type_hash": topic.type_hash}
         if topic.publisher:
             metadata["publisher"] = topic.publisher

@@ -21,8 +21,9 @@ if TYPE_CHECKING:
     from rsb_bridge.cdr.description import MessageType
 
 _SEPARATOR = "=" * 80
-_NO_FIELDS = "structure_needs_at_least_one_member"
-"""The field that rosidl gives a message without fields. Readers of message files expect its byte without being told."""
+_NO_FIELDS = "uint8 structure_needs_at_least_one_member"
+"""The field that rosidl gives a message without fields, which has its byte. Some readers misread what nests such a
+message if they are not told, and refuse a section without any line, as of a message of constants alone."""
 _TYPE = re.compile(r"[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*){1,2}")
 _FIELD = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _UNWRITABLE = ("unknown", "long double", "wchar")
@@ -52,9 +53,9 @@ def message_definition(description: str) -> str:
 
 
 def _fields(message: MessageType) -> Iterator[str]:
+    if not message.fields:
+        yield _NO_FIELDS
     for field in message.fields:
-        if field.name == _NO_FIELDS:
-            continue
         _check(_FIELD, field.name)
         is_nested = (field.type.type_id - 1) % KINDS + 1 == NESTED
         nested = _short(field.type.nested_type_name) if is_nested else ""

@@ -32,7 +32,7 @@ class RecordedText(Wording):
 
     WRITTEN = "{messages:,} messages of {topics} topics, {seconds:.0f} s, {size}: {path}"
     WRITTEN_THERE = "{messages:,} messages of {topics} topics, {seconds:.0f} s, {size}: {path} on {host}"
-    UNDESCRIBED = "without {topics}: nobody describes their types"
+    UNDESCRIBED = "without the types of {topics}, which nobody describes: most programs cannot read these topics"
     TOO_LARGE = "without {count:,} messages that alone exceed record.megabytes"
     SECONDS = "--seconds {value:g}: give a number above 0"
     ELSEWHERE = "the recording is {path} on {host}: fetch it from there, without --output"

@@ -58,7 +58,7 @@ def found(graph: Graph, kind: str = "service", wanted: str = "") -> Provision:
 
 
 def provided(graph: Graph, kind: str, wanted: str, guard: Any) -> Provision:
-    context: Any = SimpleNamespace(ros=graph, domain_id=2)
+    context: Any = SimpleNamespace(ros=graph, domain="2", domain_id=2)
     return provision(context, LANES[kind], "/go", "/far/go", wanted, guard)  # type: ignore[index]
 
 

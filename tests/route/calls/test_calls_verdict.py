@@ -2,26 +2,36 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.support.judged import calls_half, calls_verdict
+from tests.support.offline import half_of
 
 from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.faults import PathFault
 from rsb_bridge.model.reason import Reason
+from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Stage, State
 from rsb_bridge.model.verdict import Cause, LinkCause, Verdict
+from rsb_bridge.route.calls.caller import Caller
+from rsb_bridge.route.calls.calls_end import MalformedCall, Trouble
 from rsb_bridge.route.calls.calls_ledger import REMEDIES
-from rsb_bridge.route.calls.calls_verdict import CallsProgress, MalformedCall, Trouble, calls_stages
+from rsb_bridge.route.calls.calls_verdict import CallsFacts
 from rsb_bridge.route.combined_verdict import CombinedVerdict, record_of
 from rsb_bridge.route.crossing import Crossing
+from rsb_bridge.wire.messages import Provide
+from rsb_bridge.wire.records import LaneEntry, VerdictRecord
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rsb_bridge.context import Context
 
 FINE: dict[str, Any] = {
     "sends": True, "topic": "/go", "accepted": True, "came": True, "providers": ("/teller",), "offered": True,
     "timeout": 5.0,
 }  # fmt: skip
-SERVED = CallsProgress(served=True, providers=("/teller",), type_known=True, offered=True)
 CALL_STAGES = ("server seen", "type known", "link up", "peer accepted", "offered", "called", "answered")
 """Scripts read these names in JSON."""
 NOBODY = Trouble(Cause.NO_SERVER, "no server of /go in domain 2")
@@ -35,9 +45,7 @@ def verdict_on(**changes: Any) -> Verdict:
 
 
 def stages_on(**changes: Any) -> dict[str, Stage]:
-    progress = {name: changes.pop(name) for name in CallsProgress._fields if name in changes}
-    half = calls_half(**(FINE | changes))
-    return {each.name: each for each in calls_stages(half, SERVED._replace(**progress))}
+    return {each.name: each for each in CallsFacts.stages(calls_half(**(FINE | changes)))}
 
 
 @pytest.mark.parametrize(
@@ -83,12 +91,6 @@ def test_what_counts(changes: dict[str, Any], state: State, cause: Cause) -> Non
         ({"link_down": "cut"}, "link up", False, "cut"),
         ({"link_down": "cut"}, "server seen", None, ""),
         ({}, "server seen", True, "/teller"),
-        ({"served": False, "why_unserved": "nobody"}, "server seen", False, "nobody"),
-        ({"served": None}, "server seen", None, ""),
-        ({"type_known": False}, "type known", None, ""),
-        ({"sends": False, "type_known": False, "why_unserved": "two types"}, "type known", False, "two types"),
-        ({"offered": False, "why_not_offered": "later"}, "offered", None, "later"),
-        ({"offer_failed": True, "why_not_offered": "rcl"}, "offered", False, "rcl"),
         ({"asked": 1}, "called", True, ""),
         ({"asked": 1, "last_failure": "late"}, "answered", None, "late"),
         ({"asked": 2, "answered": 1, "last_failure": "late"}, "answered", True, ""),
@@ -98,6 +100,26 @@ def test_a_stage_follows_from_the_facts(changes: dict[str, Any], name: str, done
     stages = stages_on(**changes)
     assert tuple(stages) == CALL_STAGES
     assert (stages[name].done, stages[name].detail) == (done, detail)
+
+
+def test_callers_side_knows_what_other_side_tells(make_context: Callable[..., Context]) -> None:
+    half = half_of(Caller, make_context(), Topic("/go", "transmit", kind="service"))
+    assert [each.done for each in half.offer.stages()] == [None, None, None]
+    half.offer.provided = Provide(route=1)
+    seen, _, offered = half.offer.stages()
+    assert (seen.done, seen.detail) == (False, "no server of /go on the other side")
+    half.route.judged.receive(VerdictRecord("waiting", NOBODY.cause, NOBODY.text, 0.0), 0.0)
+    assert half.offer.stages()[0].detail == NOBODY.text
+    half.offer.provided = Provide(route=1, lanes=(LaneEntry("zoo/srv/A", "RIHS01_1", 1),), nodes=("/teller",))
+    half.carried.type_name = "zoo/srv/A"
+    assert half.offer.stages() == (
+        Stage("server seen", True, "/teller"),
+        Stage("type known", True, "zoo/srv/A"),
+        offered,
+    )
+    half.offer.lanes.retry.failed("rcl", half.offer.provided.lanes)
+    assert half.offer.stages()[2] == Stage("offered", False, "rcl; trying again")
+    half.route.close("over")
 
 
 def test_what_is_refused_most_is_named() -> None:

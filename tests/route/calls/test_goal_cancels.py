@@ -16,8 +16,8 @@ from rsb_bridge.model.demands import Demands, sources_of_names
 from rsb_bridge.model.session import ArmedName
 from rsb_bridge.ros.ros_interface import Response, RosError
 from rsb_bridge.route.arming import Disarmed
+from rsb_bridge.route.calls.action_goals import ProviderGoals
 from rsb_bridge.route.calls.paced_client import PacedClient
-from rsb_bridge.route.calls.provider_goals import ProviderGoals
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -10,11 +10,13 @@ from tests.support.offline import half_of
 
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import Stage
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.ros_interface import Endpoint
 from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.route.calls.provider import Provider
 from rsb_bridge.wire.headers import CallFrame, What
+from rsb_bridge.wire.records import VerdictRecord
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -57,6 +59,26 @@ def looks(half: Provider) -> Cause | None:
     half.route.advance()
     trouble = half.facts.end.unavailable()
     return trouble.cause if trouble is not None else None
+
+
+def test_providing_side_shows_how_far_calls_get(make_context: Callable[..., Context]) -> None:
+    ros = Graph()
+    half = providing(ros, make_context)
+    stages = []
+    for found in ([], [LAMP, LAMP._replace(type_name="zoo/srv/A", gid=b"other")], [LAMP]):
+        ros.found = found
+        half.route.advance()
+        stages.append([(each.done, each.detail) for each in half.servers.stages()])
+    nobody, several, one = stages
+    assert nobody == [(False, "no server of /set in domain 0"), (None, ""), (None, "")]
+    assert (several[0], several[1][0]) == ((True, "/lamp"), False)
+    assert "disagree on the type" in several[1][1]
+    assert one[:2] == [(True, "/lamp"), (True, LAMP.type_name)]
+    half.route.judged.receive(VerdictRecord("waiting", Cause.SERVED_HERE, "later"), 0.0)
+    assert half.servers.stages()[2] == Stage("offered", None, "later")
+    half.under_way.clients.retry.failed("rcl", ())
+    assert half.servers.stages()[2] == Stage("offered", False, "rcl; trying again")
+    half.route.close("over")
 
 
 def test_unknown_server_has_not_gone(make_context: Callable[..., Context]) -> None:

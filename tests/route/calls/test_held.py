@@ -15,9 +15,9 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.ros.ros_interface import Endpoint
 from rsb_bridge.ros.ros_thread import RosTurns
 from rsb_bridge.ros.stand_in import NoRos
+from rsb_bridge.route.calls.action_goals import CallerGoals
 from rsb_bridge.route.calls.asked_calls import CallerCall
 from rsb_bridge.route.calls.caller import Caller
-from rsb_bridge.route.calls.caller_goals import CallerGoals
 from rsb_bridge.route.calls.calls_ledger import REMEDIES
 from rsb_bridge.route.calls.goals import accepted_by
 from rsb_bridge.route.calls.manual_call import CallError

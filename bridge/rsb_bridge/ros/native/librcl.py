@@ -87,8 +87,8 @@ _DESTROY = ctypes.PYFUNCTYPE(None, ctypes.c_void_p)
 def serialize_message(message: Any) -> bytes:
     """Serialize a message as rclpy does: CDR with its encapsulation header.
 
-    Unlike rclpy, leave no remains of other memory in the padding, up to 7 bytes before a number: write the message
-    twice, the second time over zeros.
+    Unlike rclpy, leave no remains of other memory, neither in the padding, up to 7 bytes before a number, nor behind
+    the message, where `rmw_serialize` of rmw_fastrtps_cpp counts bytes that its empty sequences do not have.
 
     Raises:
         RosError: the middleware refused it.
@@ -100,17 +100,28 @@ def serialize_message(message: Any) -> bytes:
     buffer = Buffer()
     try:
         _CONVERT(pointer_in(functions._CONVERT_FROM_PY))(message, in_c)  # raises what rclpy would
-        code = _serialize(in_c, type_support, buffer)
-        if not code:
-            ctypes.memset(buffer.data, 0, buffer.capacity)
-            code = _serialize(in_c, type_support, buffer)
+        code = _serialize(in_c, type_support, buffer)  # makes the buffer large enough
+        written = []
+        for fill in (0xFF, 0):
+            if not code:
+                ctypes.memset(buffer.data, fill, buffer.capacity)
+                code = _serialize(in_c, type_support, buffer)
+                written.append(ctypes.string_at(buffer.data, buffer.length))
         if code:
             reset_error()
             raise RosError(f"a {type(message).__name__} could not be serialized (rmw error {code})")
-        return ctypes.string_at(buffer.data, buffer.length)
+        return _message_of(*written)
     finally:
         buffer.free()
         _DESTROY(pointer_in(functions._DESTROY_ROS_MESSAGE))(in_c)
+
+
+def _message_of(over_ones: bytes, over_zeros: bytes) -> bytes:
+    """Return what was written over zeros, without what was not written at its end, in whole words as DDS sends it."""
+    end = len(over_zeros)
+    while over_ones[end - 1] != over_zeros[end - 1]:
+        end -= 1
+    return over_zeros[: end + -end % 4]
 
 
 _COPIED_BELOW = 32 * 1024

@@ -14,7 +14,7 @@ from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.ros.ros_interface import Request, RosError
 from rsb_bridge.route.calls.call_frames import APART, CallsOutbox, Spacing, from_wrong_side
-from rsb_bridge.route.calls.calls_kind import CallsKind
+from rsb_bridge.route.calls.calls_flow import CallsKind
 from rsb_bridge.route.calls.calls_ledger import refused_as
 from rsb_bridge.route.calls.manual_call import CallError, ManualCall
 from rsb_bridge.route.calls.pending_calls import PendingCall, PendingCalls
@@ -92,7 +92,7 @@ class CallerCalls(PendingCalls[CallerCall]):
 class CallerKind(CallsKind[CallerCall]):
     """What calls do here by their kind besides passing on: nothing for a service.
 
-    Goals (`caller_goals`) and parameters (`node_parameters`) replace methods.
+    Goals (`action_goals`) and parameters (`node_parameters`) replace methods.
     """
 
     def begins(self, call: CallerCall, payload: bytes) -> None:
@@ -158,7 +158,7 @@ class AskedCalls:
         route = self._route
         if self._rate.rate != route.limit.rate:
             self._rate = CallRateGate(route.limit.rate, route.context.now())
-        gates = [calling_gates(route, self.outbox, self._rate, limited=limited) for limited in (False, True)]
+        gates = [calling_gates(route, self.outbox.largest, self._rate, limited=limited) for limited in (False, True)]
         self._arriving = [chained(each.arriving) for each in gates]
         self._leaving = [chained(each.leaving) for each in gates]
 

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, NamedTuple
 from rsb_bridge.cdr.description import TypeClash, hashes_text
 from rsb_bridge.model.names import MOST_HOPS, Via, hop, is_bridge, node_of_hop, topic_place
 from rsb_bridge.model.verdict import Cause
-from rsb_bridge.route.calls.calls_verdict import Trouble
-from rsb_bridge.route.topic_verdict import named, nodes_by
+from rsb_bridge.route.calls.calls_end import Trouble
+from rsb_bridge.route.combined_verdict import named, nodes_by
 from rsb_bridge.wire.records import LaneEntry
 
 if TYPE_CHECKING:
@@ -81,7 +81,7 @@ def provision(
                 continue
             found = guard.servers(service, member.name_on(callers_name))
             if not found:
-                raise UnavailableError(Cause.NO_SERVER, f"no server of {service} in domain {context.domain_id}")
+                raise UnavailableError(Cause.NO_SERVER, f"no server of {service} in domain {context.domain}")
             servers += found
             entry = _service_entry(ros, found, service, member.type_in(wanted))
             route_type = route_type or member.route_type(entry.type)

@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING, ClassVar
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.verdict import Cause
+from rsb_bridge.route.calls.action_goals import CallerGoals
 from rsb_bridge.route.calls.asked_calls import AskedCalls, CallerKind
-from rsb_bridge.route.calls.caller_goals import CallerGoals
+from rsb_bridge.route.calls.calls_flow import CallsFlow
 from rsb_bridge.route.calls.calls_half import CallsHalf
+from rsb_bridge.route.calls.lane_types import LaneTypes
 from rsb_bridge.route.calls.manual_call import CallError
 from rsb_bridge.route.calls.node_parameters import CallerParameters
 from rsb_bridge.route.calls.service_offer import ServiceOffer
@@ -39,10 +41,11 @@ class Caller(CallsHalf):
     kind: CallerKind
 
     def __init__(self, route: Route) -> None:
-        super().__init__(route)
-        self.under_way = AskedCalls(self.flow, self.types, _KINDS[route.proposal.kind])
-        self.offer = ServiceOffer(self.flow, self.types, self.under_way)
-        self._join(self.offer, messages=self.offer)
+        flow = CallsFlow(route)
+        types = LaneTypes(flow)
+        calls = AskedCalls(flow, types, _KINDS[route.proposal.kind])
+        self.offer = ServiceOffer(flow, types, calls)
+        super().__init__(flow, types, calls, self.offer, messages=self.offer)
 
     def provided(self, provide: Provide) -> None:
         """Take the providing side's list of what can be called."""
@@ -50,14 +53,6 @@ class Caller(CallsHalf):
             self.route.request_reopen(EventCode.ROUTE_CALLS_BROKEN, why, Level.ERROR)
         else:
             self.route.advance()
-
-    def proceed(self) -> None:
-        """Open the channel, and offer what can be called, or withdraw it."""
-        if not self.route.life.accepted:
-            return
-        if self.carried.channel is None:
-            self.route.peer.open_channel(self.route)
-        self.offer.proceed()
 
     def destroy(self) -> None:
         """Close what is open in ROS, and give up the calls that wait for another opening."""

@@ -14,22 +14,20 @@ import msgspec
 
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.route.calls.call_frames import CallFrames
-from rsb_bridge.route.calls.calls_facts import CallsFacts, malformed_in
-from rsb_bridge.route.calls.calls_flow import CallsFlow
-from rsb_bridge.route.calls.calls_verdict import OF_CALLS
-from rsb_bridge.route.calls.lane_types import LaneTypes
+from rsb_bridge.route.calls.calls_verdict import OF_CALLS, CallsFacts, malformed_in
 from rsb_bridge.route.combined_verdict import lasting, node_names, record_of
 from rsb_bridge.wire.records import CallsReport
 
 if TYPE_CHECKING:
-    from rsb_bridge.route.blocking_rules import Rules
     from rsb_bridge.route.calls.asked_calls import AskedCalls, CallerKind
     from rsb_bridge.route.calls.call_frames import TakesFrames
-    from rsb_bridge.route.calls.calls_verdict import CallsEnd
+    from rsb_bridge.route.calls.calls_end import CallsEnd
+    from rsb_bridge.route.calls.calls_flow import CallsFlow
+    from rsb_bridge.route.calls.lane_types import LaneTypes
     from rsb_bridge.route.calls.provided_calls import ProvidedCalls, ProviderKind
     from rsb_bridge.route.crossing import Crossing
+    from rsb_bridge.route.half import Rules
     from rsb_bridge.route.idling import Signs
-    from rsb_bridge.route.route import Route
 
 
 class CallsHalf:
@@ -45,29 +43,40 @@ class CallsHalf:
     peer_report: ClassVar[Any] = CallsReport
     rules: ClassVar[Rules[Any]] = OF_CALLS
     duplex: ClassVar[bool] = True
+    rests: ClassVar[bool] = False
 
     under_way: AskedCalls | ProvidedCalls
     kind: CallerKind | ProviderKind
     _last_report: CallsReport | None = None  # of the present opening
 
-    def __init__(self, route: Route) -> None:
-        self.route, self.flow = route, CallsFlow(route)
-        self.carried, self.types = self.flow.carried, LaneTypes(self.flow)
-
-    def _join(self, end: CallsEnd, messages: TakesFrames) -> None:
-        """Join the parts, once `under_way` is there.
+    def __init__(
+        self,
+        flow: CallsFlow,
+        types: LaneTypes,
+        under_way: AskedCalls | ProvidedCalls,
+        end: CallsEnd,
+        messages: TakesFrames,
+    ) -> None:
+        """Join the parts.
 
         Args:
             messages: takes those of lanes that are topics.
         """
-        self.kind, outbox = self.under_way.kind, self.under_way.outbox
-        self.never_idle = self.kind.never_idle
-        self._end, self._frames = end, CallFrames(self.flow, outbox, self.under_way, messages)
-        self.deliver, self.flush = self._frames.deliver, outbox.flush
-        self.facts = CallsFacts(self.flow, self.types, end, self.kind)
+        self.route, self.flow, self.carried, self.types = flow.route, flow, flow.carried, types
+        self.under_way, self.kind, self._end = under_way, under_way.kind, end
+        self._frames = CallFrames(flow, under_way.outbox, under_way, messages)
+        self.deliver, self.flush = self._frames.deliver, under_way.outbox.flush
+        self.facts = CallsFacts(flow, types, end, self.kind)
+
+    def proceed(self) -> None:
+        """Open the channel; offer what can be called, or find it and tell the other side."""
+        if not self.route.life.accepted:
+            return
+        if self.carried.channel is None:
+            self.route.peer.open_channel(self.route)
+        self._end.proceed()
 
     def open(self) -> None:
-        """Begin a new opening."""
         self._last_report = self.types.last_malformed = None
         self.flow.open()
 
@@ -115,7 +124,7 @@ class CallsHalf:
         return self.flow.report, end.unavailable(), end.warning, end.offered, malformed, end.nodes()
 
     def next_change(self, now: float, crossing: Crossing) -> float:
-        return math.inf
+        return math.inf if self.kind.goals is None else now  # goals have times of their own, and a robot few actions
 
     def reported(self, report: CallsReport) -> None:
         """Take the peer's verdict, and how far its calls are."""

@@ -1,145 +1,123 @@
-"""The stages and the verdict of a half of a route of calls: rules that only read it."""
+"""The knowledge of a half of a route of calls, with its stages, its snapshot, and the rules of its verdict."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any
 
 from rsb_bridge.model.calls import Refused
-from rsb_bridge.model.snapshot import Stage, State
+from rsb_bridge.model.snapshot import Ledger, Stage, State
 from rsb_bridge.model.verdict import LASTING, Cause, LinkCause, Verdict
-from rsb_bridge.route.blocking_rules import JudgedHalf, first_missing, stages_with_link
+from rsb_bridge.route.blocking_rules import first_missing, stages_with_link
+from rsb_bridge.route.calls.calls_end import MalformedCall
 from rsb_bridge.route.calls.calls_ledger import LATELY, REMEDIES
+from rsb_bridge.route.half import Facts
 
 if TYPE_CHECKING:
-    from rsb_bridge.route.blocking_rules import Rules
-    from rsb_bridge.route.calls.calls_ledger import CallFailures, CallsLedger
+    from functools import partial
+
+    from rsb_bridge.cdr.description import TypeVersion
+    from rsb_bridge.model.snapshot import RouteSnapshot
+    from rsb_bridge.route.calls.calls_end import CallsEnd
+    from rsb_bridge.route.calls.calls_flow import CallsFlow, CallsKind
+    from rsb_bridge.route.calls.lane_types import LaneTypes
     from rsb_bridge.route.crossing import Crossing
+    from rsb_bridge.route.half import Rules
+    from rsb_bridge.wire.records import CallsReport
+
+_NO_LEDGER = Ledger()
 
 
-class Trouble(NamedTuple):
-    """A problem to show to operators.
-
-    Attributes:
-        text: for an operator, with the remedy.
-    """
-
-    cause: Cause
-    text: str
-
-
-class CallsProgress(NamedTuple):
-    """The progress of calls, as one half knows it.
+class CallsFacts(Facts):
+    """The knowledge of one half of a route of calls.
 
     Attributes:
-        served: whether nodes answer, or None if it is unknown.
-        providers: names of these nodes.
-        why_unserved: the reason why none answers, or empty.
-        type_name: as last known, or empty.
-        offered: whether callers can call it, as far as this half knows.
-        offer_failed: whether this half is kept from its part in offering it.
-        why_not_offered: the reason why it is not offered, or empty.
+        flow, calls, failures: of its half.
+        end: the offer to callers here, or the servers here.
     """
 
-    served: bool | None = None
-    providers: tuple[str, ...] = ()
-    why_unserved: str = ""
-    type_known: bool = False
-    type_name: str = ""
-    offered: bool = False
-    offer_failed: bool = False
-    why_not_offered: str = ""
+    resends = True
+    learns = True
+    lifespan = 0.0
 
+    def __init__(self, flow: CallsFlow, types: LaneTypes, end: CallsEnd, kind: CallsKind[Any]) -> None:
+        self.route, self.calls, self.failures, self.end = flow.route, flow.calls, flow.failures, end
+        self.flow, self._types, self._kind = flow, types, kind
 
-class MalformedCall(NamedTuple):
-    """A request, a response or a message that does not fit its type.
-
-    Attributes:
-        field: and what is wrong with it.
-    """
-
-    type_name: str
-    field: str
-
-
-class CallsEnd(Protocol):
-    """The end of a route of calls on this side: the offer to callers here, or the servers here.
-
-    Attributes:
-        warning: the trouble that does not keep calls from crossing, or None.
-    """
-
-    warning: Trouble | None
+    def stages(self) -> tuple[Stage, ...]:
+        (seen, known, offered), calls = self.end.stages(), self.calls
+        called = Stage("called", calls.asked > 0 or None)
+        answered = Stage("answered", True) if calls.answered else Stage("answered", None, calls.last_failure)
+        return stages_with_link(self, (seen, known), (offered, called, answered))
 
     @property
-    def offered(self) -> bool:
-        """Whether callers can call it, as far as this half knows."""
-
-    def unavailable(self) -> Trouble | None:
-        """Return the reason why nothing can be called, or None if this side knows of none."""
-
-    def nodes(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Return the nodes that call, and the nodes that answer."""
-
-    def at_node(self) -> tuple[int, int]:
-        """Return the newest call that was given to DDS, with all before it, and how many calls wait for their node."""
-
-    def progress(self) -> CallsProgress:
-        """Return how far calls get, as this half knows it."""
-
-    def close(self) -> None:
-        """End the opening."""
-
-
-class JudgedCalls(JudgedHalf, Protocol):
-    """One half of a route of calls, as its rules and stages read it."""
-
-    calls: CallsLedger
-    failures: CallFailures
-    end: CallsEnd
-
-    def stages(self) -> tuple[Stage, ...]: ...
+    def came(self) -> bool:
+        return self.flow.came
 
     @property
-    def waited(self) -> bool: ...
-
-    def last_malformed(self) -> MalformedCall | None: ...
+    def came_before(self) -> bool:
+        return self.calls.asked > 0 and not self.flow.came
 
     @property
-    def call_timeout(self) -> float: ...
+    def owing(self) -> bool:
+        return self.calls.in_flight > 0
+
+    @property
+    def on_end(self) -> str:
+        return self._kind.on_end
+
+    @property
+    def message_types(self) -> tuple[TypeVersion, ...]:
+        return self._types.messages
+
+    # --- for the rules of calls
+
+    def last_malformed(self) -> MalformedCall | None:
+        """Return the last malformed request or response, or None."""
+        return self._types.last_malformed or malformed_in(self.flow.report)
+
+    @property
+    def waited(self) -> bool:
+        """Whether calls expired lately that their node never got, because it had not read earlier ones."""
+        return self.route.judged.peer.cause == Cause.CALLS_WAIT if self.route.outgoing else self.calls.waited_lately()
+
+    def snapshot_of(self, common: partial[RouteSnapshot]) -> RouteSnapshot:
+        (callers, providers), goals = self.end.nodes(), self._kind.goals
+        return common(
+            qos=None,
+            publisher_qos=None,
+            subscriber_qos=None,
+            ledger=_NO_LEDGER,
+            latency_p50=None,
+            latency_p99=None,
+            jitter=None,
+            publishers=callers,
+            subscribers=providers,
+            calls=self.calls.snapshot(self.end.at_node()[1]),
+            goals=() if goals is None else goals.snapshot(self._kind.awaited()),
+            lanes=tuple(member.name for member in self.flow.members if not member.is_topic),
+        )
 
 
-def calls_stages(half: JudgedCalls, progress: CallsProgress) -> tuple[Stage, ...]:
-    """Return the stages from the server to the caller that has its answer, in order."""
-    seen = Stage(
-        "server seen", progress.served, ", ".join(progress.providers) if progress.served else progress.why_unserved
-    )
-    if progress.type_known:
-        known = Stage("type known", True, progress.type_name)
-    elif progress.served and not half.route.outgoing:  # else the other side knows why
-        known = Stage("type known", False, progress.why_unserved)
-    else:
-        known = Stage("type known", None)
-    offered = Stage("offered", False if progress.offer_failed else progress.offered or None, progress.why_not_offered)
-    called = Stage("called", half.calls.asked > 0 or None)
-    answered = Stage("answered", True) if half.calls.answered else Stage("answered", None, half.calls.last_failure)
-    return stages_with_link(half, (seen, known), (offered, called, answered))
+def malformed_in(report: CallsReport | None) -> MalformedCall | None:
+    """Return the malformed request or response that the other side has found, or None."""
+    return MalformedCall(report.malformed_type, report.malformed) if report is not None and report.malformed else None
 
 
-def _unavailable(half: JudgedCalls, _: Crossing) -> Verdict | None:
+def _unavailable(half: CallsFacts, _: Crossing) -> Verdict | None:
     if (trouble := half.end.unavailable()) is None:
         return None
     not_yet = trouble.cause is Cause.NO_SERVER  # as a topic that has no publisher yet
     return Verdict(State.WAITING if not_yet else State.DOWN, *trouble)
 
 
-def _awaits_link(half: JudgedCalls, _: Crossing) -> Verdict | None:
+def _awaits_link(half: CallsFacts, _: Crossing) -> Verdict | None:
     path = half.route.peer.path.fault
     if path is None or path.cause is not LinkCause.SILENT or not half.calls.in_flight:
         return None
     return Verdict(State.WAITING, Cause.AWAITS_LINK, path.text)
 
 
-def _unanswered(half: JudgedCalls, _: Crossing) -> Verdict | None:
+def _unanswered(half: CallsFacts, _: Crossing) -> Verdict | None:
     if expired := half.calls.expired_lately():
         what = f"calls have timed out for {LASTING}, {expired:,} in the last {LATELY} s"
     elif half.calls.unanswered:
@@ -151,11 +129,11 @@ def _unanswered(half: JudgedCalls, _: Crossing) -> Verdict | None:
     if half.waited:
         text = f"{what}; they waited for {nodes} to take earlier ones: make fewer at once, or set a longer timeout"
         return Verdict(State.SLOW, Cause.CALLS_WAIT, text, half.failures.since)
-    text = f"{what}; check why {nodes} does not answer within {half.call_timeout:g} s, or set a longer timeout"
+    text = f"{what}; check why {nodes} does not answer within {half.flow.call_timeout:g} s, or set a longer timeout"
     return Verdict(State.SLOW, Cause.UNANSWERED, text, half.failures.since)
 
 
-def _refused(half: JudgedCalls, _: Crossing) -> Verdict | None:
+def _refused(half: CallsFacts, _: Crossing) -> Verdict | None:
     if not (refused := half.calls.refused_lately()):
         return None
     why = max(refused, key=lambda each: refused[each])
@@ -167,11 +145,11 @@ def _refused(half: JudgedCalls, _: Crossing) -> Verdict | None:
     return Verdict(State.SLOW, Cause.CALLS_REFUSED, text, half.failures.since)
 
 
-def _warning(half: JudgedCalls, _: Crossing) -> Verdict | None:
+def _warning(half: CallsFacts, _: Crossing) -> Verdict | None:
     return Verdict(State.UNHEARD, *half.end.warning) if half.end.warning is not None else None
 
 
-def _waiting(half: JudgedCalls, crossing: Crossing) -> Verdict | None:
+def _waiting(half: CallsFacts, crossing: Crossing) -> Verdict | None:
     offered = half.end.offered
     if half.came and offered:
         return None
@@ -181,7 +159,7 @@ def _waiting(half: JudgedCalls, crossing: Crossing) -> Verdict | None:
     return Verdict(State.WAITING, Cause.NO_CALL, text)
 
 
-OF_CALLS: Rules[JudgedCalls] = (
+OF_CALLS: Rules[CallsFacts] = (
     _unavailable,
     _awaits_link,
     _unanswered,

@@ -11,7 +11,7 @@ from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.ros.ros_interface import RosError
-from rsb_bridge.route.calls.calls_verdict import MalformedCall
+from rsb_bridge.route.calls.calls_end import MalformedCall
 from rsb_bridge.route.message_check import MessageCheck, malformed_text
 from rsb_bridge.wire.framing import CALL_LIMIT
 

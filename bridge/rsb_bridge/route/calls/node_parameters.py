@@ -9,7 +9,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.route.calls.asked_calls import CallerKind
-from rsb_bridge.route.calls.calls_verdict import Trouble
+from rsb_bridge.route.calls.calls_end import Trouble
 from rsb_bridge.route.calls.provided_calls import ProviderKind
 
 if TYPE_CHECKING:

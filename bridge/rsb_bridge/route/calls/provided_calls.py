@@ -16,7 +16,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.route.calls.call_endpoints import OpenLane, OpenLanes
 from rsb_bridge.route.calls.call_frames import CallsOutbox, from_wrong_side
-from rsb_bridge.route.calls.calls_kind import CallsKind
+from rsb_bridge.route.calls.calls_flow import CallsKind
 from rsb_bridge.route.calls.goals import result_request
 from rsb_bridge.route.calls.paced_client import PacedClient
 from rsb_bridge.route.calls.pending_calls import PendingCall, PendingCalls

@@ -8,12 +8,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, ClassVar
 
 from rsb_bridge.model.calls import Refused
+from rsb_bridge.route.calls.action_goals import ProviderGoals
+from rsb_bridge.route.calls.calls_flow import CallsFlow
 from rsb_bridge.route.calls.calls_half import CallsHalf
 from rsb_bridge.route.calls.calls_ledger import REMEDIES
+from rsb_bridge.route.calls.lane_types import LaneTypes
 from rsb_bridge.route.calls.manual_call import CallError, call_directly
 from rsb_bridge.route.calls.node_parameters import ProviderParameters
 from rsb_bridge.route.calls.provided_calls import ProvidedCalls, ProviderKind
-from rsb_bridge.route.calls.provider_goals import ProviderGoals
 from rsb_bridge.route.calls.servers_here import ServersHere
 from rsb_bridge.route.gates import why_not_by_hand
 
@@ -38,19 +40,11 @@ class Provider(CallsHalf):
     kind: ProviderKind
 
     def __init__(self, route: Route) -> None:
-        super().__init__(route)
-        self.under_way = ProvidedCalls(self.flow, self.types, _KINDS[route.proposal.kind])
-        self.servers = ServersHere(self.flow, self.types, self.under_way)
-        self._join(self.servers, messages=self.under_way)
-
-    def proceed(self) -> None:
-        """Open the channel; find who provides it, have clients for them, and tell the other side."""
-        if not self.route.life.accepted:
-            return
-        if self.carried.channel is None:
-            self.route.peer.open_channel(self.route)
-        self.servers.proceed()
-        self.flush()
+        flow = CallsFlow(route)
+        types = LaneTypes(flow)
+        calls = ProvidedCalls(flow, types, _KINDS[route.proposal.kind])
+        self.servers = ServersHere(flow, types, calls)
+        super().__init__(flow, types, calls, self.servers, messages=calls)
 
     def destroy(self) -> None:
         """Close what is open in ROS."""

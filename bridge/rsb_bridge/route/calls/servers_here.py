@@ -6,10 +6,11 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
+from rsb_bridge.model.snapshot import Stage
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.route.calls.call_servers import CallLoopGuard, Provision, provision
-from rsb_bridge.route.calls.calls_verdict import CallsProgress, Trouble
+from rsb_bridge.route.calls.calls_end import Trouble
 from rsb_bridge.route.combined_verdict import node_names
 from rsb_bridge.wire.messages import Provide
 
@@ -69,6 +70,7 @@ class ServersHere:
             self._have_clients(entries)
         calls.give_up_orphans()
         self._tell()
+        calls.outbox.flush()
 
     def _look(self) -> None:
         """Find the servers that may be called, and what is wrong with them."""
@@ -174,16 +176,16 @@ class ServersHere:
         hint = route.context.suggester.of((route.spec.kind, route.local_topic), route.judge_again)
         return Trouble(trouble.cause, f"{trouble.text}; {hint}") if hint else trouble
 
-    def progress(self) -> CallsProgress:
-        trouble, offered = self._calls.clients.retry.trouble, self.offered
-        failure = trouble.text if trouble is not None else ""
-        return CallsProgress(
-            bool(self._carried.endpoints),
-            node_names(self._carried.endpoints),
-            why_unserved=self._trouble.text if self._trouble is not None else "",
-            type_known=bool(self.found.entries),
-            type_name=self._carried.type_name,
-            offered=offered,
-            offer_failed=bool(failure),
-            why_not_offered="" if offered else failure or self._route.judged.peer.text,
+    def stages(self) -> tuple[Stage, Stage, Stage]:
+        servers, offered, failure = self._carried.endpoints, self.offered, self._calls.clients.retry.trouble
+        why = self._trouble.text if self._trouble is not None else ""
+        if self.found.entries:
+            known = Stage("type known", True, self._carried.type_name)
+        else:
+            known = Stage("type known", False, why) if servers else Stage("type known", None)
+        why_not = "" if offered else failure.text if failure else self._route.judged.peer.text
+        return (
+            Stage("server seen", bool(servers), ", ".join(node_names(servers)) if servers else why),
+            known,
+            Stage("offered", False if failure else offered or None, why_not),
         )

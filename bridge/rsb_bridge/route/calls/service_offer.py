@@ -5,18 +5,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.snapshot import Level
+from rsb_bridge.model.snapshot import Level, Stage
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.ros_interface import BATCH, RosError
 from rsb_bridge.route.calls.call_endpoints import OpenLane, OpenLanes
 from rsb_bridge.route.calls.call_frames import from_wrong_side
 from rsb_bridge.route.calls.call_servers import LocalServers, others_called, types_clash, way_here
-from rsb_bridge.route.calls.calls_verdict import CallsProgress, Trouble
+from rsb_bridge.route.calls.calls_end import Trouble
 from rsb_bridge.route.calls.lane_types import TypeComparison
-from rsb_bridge.route.combined_verdict import node_names
+from rsb_bridge.route.combined_verdict import named, node_names
 from rsb_bridge.route.lease import Marker
 from rsb_bridge.route.source_publishers import SlowSubscriberError, VolatileTopic
-from rsb_bridge.route.topic_verdict import named
 from rsb_bridge.wire.headers import What
 from rsb_bridge.wire.messages import Provide
 
@@ -242,10 +241,11 @@ class ServiceOffer:
 
     def _log(self, was_offered: bool) -> None:
         """Log that it is offered now, or no longer."""
-        if self.offered and not was_offered:
+        offered = self.offered
+        if offered and not was_offered:
             text = f"offered here; calls go over {self._route.transport.name}"
             self._route.log(Level.INFO, EventCode.ROUTE_OFFERED, text)
-        elif was_offered and not self.offered:
+        elif was_offered and not offered:
             self._route.log(Level.INFO, EventCode.ROUTE_WITHDRAWN, "no longer offered")
 
     def failed(self, error: RosError) -> None:
@@ -326,18 +326,14 @@ class ServiceOffer:
         )
         return Trouble(Cause.NO_SERVER, text)
 
-    def progress(self) -> CallsProgress:
-        served = None if self.provided is _UNKNOWN else self.has_servers
-        text = self._route.judged.peer.text or f"no server of {self._route.remote_topic} on the other side"
+    def stages(self) -> tuple[Stage, Stage, Stage]:
+        served, type_name = None if self.provided is _UNKNOWN else self.has_servers, self._carried.type_name
+        seen = ", ".join(self.provided.nodes)
+        if served is False:
+            seen = self._route.judged.peer.text or f"no server of {self._route.remote_topic} on the other side"
         trouble = self._trouble or self.lanes.retry.trouble
-        failure = trouble.text if trouble is not None else ""
-        return CallsProgress(
-            served,
-            self.provided.nodes,
-            why_unserved=text if served is False else "",
-            type_known=bool(self._carried.type_name),
-            type_name=self._carried.type_name,
-            offered=self.offered,
-            offer_failed=bool(failure),
-            why_not_offered=failure,
+        return (
+            Stage("server seen", served, seen),
+            Stage("type known", bool(type_name) or None, type_name),  # if not, the other side knows why
+            Stage("offered", False if trouble else self.offered or None, trouble.text if trouble else ""),
         )

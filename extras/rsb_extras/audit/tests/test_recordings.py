@@ -23,7 +23,9 @@ from rosbags.typesys import Stores, get_typestore
 from tests.support.wording import says
 
 from rsb_extras.audit.audit_table import AuditText
-from rsb_extras.audit.recorded import UnreadableRecording, insert, new_database, offers_of, unpacked
+from rsb_extras.audit.mcap_records import unpacked
+from rsb_extras.audit.recorded import DamageError, insert, new_database, offers_of
+from rsb_extras.audit.recording_files import UnreadableRecording
 from rsb_extras.audit.tests.audit_places import CALLS_REMEMBERED, INSERTS, MATCHES_HELD, NEW_DATABASE, PIECE, ROWS_HELD
 from rsb_extras.audit.tests.conftest import Audited, Sides
 from rsb_extras.audit.tests.written import START, Written, text
@@ -82,7 +84,8 @@ def test_named_topics_have_to_cross(sides: Sides, audited: Run) -> None:
             if not number:
                 side.topic("/tf")
             side.add("/tf", 3 + number, number + other)
-    assert audited().code == 0
+    assert audited().breaches == {("not_judged", "/tf", 5)}
+    assert audited("--topic", "/scan", near=sides.near.path, far=sides.far.path).code == 0
     named = ("--topic", "/scan", "--topic", "/odom", "--topic", "/t*")
     found = audited(*named, near=sides.near.path, far=sides.far.path)
     assert (found.code, found.breaches) == (1, {("not_crossed", "/odom", 5), ("not_crossed", "/tf", 5)})
@@ -189,7 +192,7 @@ def test_chunk_gets_no_more_memory_than_it_says(compression: str) -> None:
     most = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert most < 10_000_000
-    with pytest.raises(OverflowError):
+    with pytest.raises(DamageError):
         unpacked(Chunk(compression, content, 0, 0, 0, 1 << 40))
     with pytest.raises(ValueError):
         unpacked(Chunk(compression, pack(bytes(10)), 0, 0, 0, 1000))
@@ -255,7 +258,9 @@ def test_recording_of_another_writer(sides: Sides, tmp_path: Path, ran: Any) -> 
     ("content", "problem"),
     [
         (b"", UnreadableRecording.EMPTY),
-        (b"SQLite format 3\0" * 8, UnreadableRecording.NO_MCAP),
+        (b"SQLite format 3\0" * 8, UnreadableRecording.EMPTY),
+        (b"text" * 8, UnreadableRecording.NO_RECORDING),
+        (b"\x28\xb5\x2f\xfd" * 8, UnreadableRecording.COMPRESSED),
         (b"\x89MCAP0\r\n", UnreadableRecording.EMPTY),
         (b"\x89MCAP0\r\n\xff" + (1 << 62).to_bytes(8, "little"), UnreadableRecording.EMPTY),
         (None, UnreadableRecording.NOT_THERE),
@@ -273,9 +278,13 @@ def test_what_is_no_recording(content: bytes | None, problem: Any, sides: Sides,
 
 @pytest.mark.parametrize(
     ("name", "problem"),
-    [("bag.db3", UnreadableRecording.NO_MCAP_WITHIN), ("bag.mcap.zstd", UnreadableRecording.COMPRESSED)],
+    [
+        ("bag.txt", UnreadableRecording.NONE_WITHIN),
+        ("bag.mcap.zstd", UnreadableRecording.COMPRESSED),
+        ("bag.db3.zstd", UnreadableRecording.COMPRESSED),
+    ],
 )
-def test_folder_without_mcap(name: str, problem: Any, sides: Sides, tmp_path: Path, ran: Any) -> None:
+def test_folder_without_recording(name: str, problem: Any, sides: Sides, tmp_path: Path, ran: Any) -> None:
     sides.spans(15)
     sides.near.done()
     (tmp_path / "bag").mkdir()
@@ -469,6 +478,21 @@ def test_topic_that_is_not_judged_needs_no_long_recording(sides: Sides, audited:
     sides.far.add(topic, 5.0, 2)
     found = audited("--back", "/cmd_vel")
     assert (found["/rosout"]["nothing_common"], found.code) == (True, 0)
+
+
+def test_lines_say_what_was_not_judged(sides: Sides, ran: Any) -> None:
+    sides.spans(15)
+    sides.stream(sides.topic("/scan"))
+    for name in ("/image", "/rosout"):
+        topic = sides.topic(name)
+        for number, side in enumerate(sides):
+            side.add(topic, 5.0, number)
+    for side in sides:
+        side.done()
+    done = ran("audit", str(sides.near.path), str(sides.far.path))
+    assert (done.code, says(done.out, AuditText.PASSED)) == (1, False)
+    found = [line for line in done.out.splitlines() if says(line, AuditText.FAILED)]
+    assert [says(line, AuditText.FAILED, name="/image") for line in found] == [True]
 
 
 def test_name_with_two_types_is_two_topics(sides: Sides, audited: Run) -> None:

@@ -255,6 +255,46 @@ def test_silence_of_a_sender_is_none_of_the_bridge_however_late_messages_are(sid
     assert (gap["other"], gap["end"] - gap["start"]) == (0, pytest.approx(3.1))
 
 
+def test_jitter_makes_no_silence_of_a_sender_the_bridges(sides: Sides, audited: Run) -> None:
+    """Messages are 10 to 300 ms old, the last ones before a silence of 4.5 s least."""
+    sides.spans(60)
+    topic = sides.topic("/scan")
+    for number in range(200):
+        at = 2 + number * 0.1 + number // 40 * 4.5
+        sides.near.add(topic, at, number)
+        sides.far.add(topic, at + (0.01 if number % 40 > 35 else 0.2 + number % 2 * 0.1), number)
+    gaps = audited("--offset", "0")["/scan"]["gaps"]
+    assert [gap["other"] for gap in gaps["far"]] == [0] * 5
+    assert [gap["end"] - gap["start"] > 4 for gap in gaps["near"]] == [True] * 5
+
+
+def test_silence_that_is_longer_than_the_senders_is_the_bridges(sides: Sides, audited: Run) -> None:
+    """The sender is silent from 12 s to 18 s and at the end, the bridge from 10 s to 20 s."""
+    sides.spans(33)
+    topic = sides.topic("/scan")
+    for number in range(280):
+        at = 2 + number * 0.1
+        if not 12 < at < 18:
+            sides.near.add(topic, at, number)
+            if not 10 < at < 20:
+                sides.far.add(topic, at + 0.01, number)
+    scan = audited("--offset", "0")["/scan"]
+    assert [gap["other"] for gap in scan["gaps"]["far"]] == [pytest.approx(39, abs=1), 0]
+
+
+def test_one_message_a_second_makes_no_silence(sides: Sides, audited: Run) -> None:
+    sides.spans(53)
+    topic = sides.topic("/battery")
+    for number in range(50):
+        at = 2 + number + number % 3 * 0.02
+        sides.near.add(topic, at, number)
+        if not 20 <= number < 25:
+            sides.far.add(topic, at + 0.01 + number % 2 * 0.03, number)
+    gaps = audited("--offset", "0")["/battery"]["gaps"]
+    assert gaps["near"] == []
+    assert [gap["other"] for gap in gaps["far"]] == [5]
+
+
 def test_losses_before_a_late_message_are_decided(sides: Sides, audited: Run) -> None:
     """The link is away from 10 s to 20 s, and half of what waited for it comes then."""
     sides.spans(31)
@@ -295,8 +335,12 @@ def test_topic_without_common_messages_is_not_judged(durability: str, sides: Sid
     for number in range(20):
         sides.near.add(topic, 2 + number * 0.1, number)
         sides.far.add(topic, 2 + number * 0.1, 1000 + number)
+    image = sides.topic("/image", durability=durability)
+    for side, number in zip(sides, (1, 2), strict=True):
+        side.add(image, 5.0, number)
     found = audited()
-    assert (found["/rosout"]["nothing_common"], found["/rosout"]["lost"], found.code) == (True, 0, 0)
+    assert (found["/rosout"]["nothing_common"], found["/rosout"]["lost"]) == (True, 0)
+    assert (found.code, found.breaches) == (1, {("not_judged", "/image", 1)}), "each node has /rosout"
 
 
 @pytest.mark.parametrize(

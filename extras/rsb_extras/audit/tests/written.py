@@ -41,9 +41,11 @@ class Written:
         durability: Any = "volatile",
         publishers: int = 1,
         publisher: str = "",
+        definition: str = "string data",
+        encoding: str = "ros2msg",
     ) -> str:
         """Have a topic, before its first message. Without a reliability, nothing is known of its QoS."""
-        schema = self._writer.register_schema(type_name, "ros2msg", b"string data")
+        schema = self._writer.register_schema(type_name, encoding, definition.encode())
         profile = f"- history: keep_last\n  depth: 10\n  reliability: {reliability}\n  durability: {durability}\n"
         metadata = {"offered_qos_profiles": profile * publishers if reliability else ""}
         if publisher:

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 from tests.support import surroundings
+from tests.support.discovery_server import discovery_server
+from tests.support.ports import free_port
 from tests.support.wording import says
 
 from rsb_bridge.model.finding import Finding, Grade, examine
@@ -118,6 +120,7 @@ def test_a_middleware_that_is_not_installed() -> None:
         ({"ROS_DOMAIN_ID": "233"}, [Grade.ERROR]),
         ({"ROS_DOMAIN_ID": "150"}, [Grade.WARNING]),
         ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "WORLD"}, [Grade.WARNING]),
+        ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF"}, [Grade.ERROR]),
         ({"ROS_LOCALHOST_ONLY": "1"}, [Grade.OK, Grade.WARNING]),
         ({"FASTRTPS_DEFAULT_PROFILES_FILE": "/no/such.xml"}, [Grade.OK, Grade.WARNING]),
     ],
@@ -140,3 +143,30 @@ def test_a_profile_that_exists(tmp_path: Path) -> None:
     (tmp_path / "a.xml").touch()
     (finding,) = found("ros_domain", {"FASTDDS_DEFAULT_PROFILES_FILE": str(tmp_path / "a.xml")})
     assert finding.grade == Grade.OK
+
+
+def test_discovery_servers_are_asked() -> None:
+    port, other = free_port(), free_port()
+    listed = f"127.0.0.1:{port};127.0.0.1:{other}"
+    with discovery_server(port):
+        findings = found("ros_discovery", {"ROS_DISCOVERY_SERVER": listed})
+    assert [each.grade for each in findings] == [Grade.OK, Grade.WARNING]
+    assert findings[0].facts == {"ROS_DISCOVERY_SERVER": listed}
+    findings = found("ros_discovery", {"ROS_DISCOVERY_SERVER": listed})
+    assert [each.grade for each in findings] == [Grade.ERROR, Grade.ERROR]
+    assert str(other) in findings[1].text + findings[1].remedy
+    (finding,) = found("ros_discovery", {"ROS_DISCOVERY_SERVER": "127.0.0.1:a"})
+    assert finding.grade == Grade.ERROR
+    assert found("ros_discovery", {}) == []
+
+
+def test_secured_domain_needs_keys(tmp_path: Path) -> None:
+    secured = {"ROS_SECURITY_ENABLE": "true", "ROS_SECURITY_KEYSTORE": str(tmp_path)}
+    (finding,) = found("ros_security", secured)
+    assert (finding.grade, finding.facts) == (Grade.WARNING, secured)
+    (finding,) = found("ros_security", secured | {"ROS_SECURITY_STRATEGY": "Enforce"})
+    assert (finding.grade, str(tmp_path) in finding.remedy) == (Grade.ERROR, True)
+    (tmp_path / "enclaves").mkdir()
+    (finding,) = found("ros_security", secured)
+    assert finding.grade == Grade.OK
+    assert found("ros_security", {}) == []

@@ -655,6 +655,7 @@ async def test_a_multiplexer_asks_for_held_keys(app: ConsoleApp, pilot: Pilot[No
     assert not is_shown(app, "to drive")
     app.input_gate.pulse = Pulse({"TMUX": "1"})
     await shown(pilot, "to drive")
+    await shown(pilot, "u i o     ↖ ↑ ↗")
 
 
 async def arrive(app: ConsoleApp, clock: Clock, *arrivals: float) -> None:

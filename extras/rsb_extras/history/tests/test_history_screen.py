@@ -85,6 +85,19 @@ async def test_long_line_stays_one_line(app: ConsoleApp, pilot: Pilot[None]) -> 
     await shown(pilot, HistoryText.OUTAGES_LEFT_OUT, more="1 more outage")
 
 
+@on_main(NARROW)
+async def test_rows_have_room_below_long_totals(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    names = [f"robot{number}-on-the-second-floor" for number in range(2, 9)]
+    tracks = (*REMEMBERED.tracks, *(replace(each, link=name) for name in names for each in REMEMBERED.tracks))
+    outages = tuple(replace(REMEMBERED.outages[0], start=NOW - 3000.0 + at, link="robot1") for at in range(20))
+    report = replace(REMEMBERED, tracks=tracks, outages=(*outages, *REMEMBERED.outages[3:]), outages_left_out=3)
+    answers()[ReportHistory] = partial(answer, report=report)
+    await pilot.press("h")
+    await shown(pilot, "▲ STALE")
+    await shown(pilot, "rate")
+    await until(pilot, lambda: text(app).count("✗ DOWN") >= 3, "rows of outages")
+
+
 @on_main()
 async def test_the_span_the_order_and_the_filter(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.press("h")

@@ -402,6 +402,21 @@ def next_process(world: World, away: float) -> World:
     return new
 
 
+def test_a_slow_topic_is_not_down_before_its_link_is() -> None:
+    world = World("/scan")
+    world.go(600)
+    world.put("/scan", State.SLOW, "2 Hz of 20 expected")
+    world.go(60)
+    world.put_link(State.DOWN, "no answer")
+    world.go(30)
+    world.put_link(State.OK)
+    world.go(60)
+    assert brief(world.outages()) == [
+        ("/scan", 62, "slow", "2 Hz of 20 expected"), ("", 32, "down", "no answer"), ("/scan", 32, "down", "no link"),
+    ]  # fmt: skip
+    assert [each.with_link for each in world.outages()] == [False, False, True]
+
+
 def test_restart_is_gap_with_everything_else_kept() -> None:
     world = World("/scan", "/map")
     world.go(600)
@@ -442,6 +457,29 @@ def test_machine_with_old_time_is_corrected_later() -> None:
     assert [round(each.start - EPOCH) for each in after.outages] == [600, round(8 * HOUR - 60)]
     assert abs(world.track("/scan", HOUR).up - 300) <= 60
     assert world.track("/scan", 4 * HOUR).up < 360, "the day before is not in the last hours"
+
+
+def test_a_process_that_ran_ahead_puts_nothing_into_the_future() -> None:
+    world = World("/scan")
+    world.go(600)
+    world = next_process(world, 3000)
+    world.clock.wall += HOUR  # set by hand, and wrong
+    world.go(600)
+    world.put("/scan", State.DOWN, "no publisher")
+    world.go(60)
+    world.put("/scan", State.OK)
+    world.clock.wall -= HOUR  # set right while nothing ran
+    world = next_process(world, 60)
+    world.go(700)
+    world.put("/scan", State.STALE, "nothing for 15 s")
+    world.go(10)
+    report = world.report(2 * HOUR)
+    assert report.time == world.clock.wall
+    assert [(each.start - EPOCH, each.state) for each in report.outages] == [(4260, "down"), (5020, "stale")]
+    assert [round(gap.seconds) for gap in report.gaps][1:] == [3060], "how far it was ahead is known to the pause only"
+    scan = world.track("/scan", 2 * HOUR)
+    assert (scan.up, scan.out) == (600 + 600 + 700, 70)
+    assert sum("earlier process was ahead by 59 min" in each.text for each in world.events.after(0)) == 1
 
 
 def test_a_history_from_the_future_is_refused() -> None:

@@ -369,6 +369,12 @@ def test_names_of_frames_are_shown_if_asked_for() -> None:
     assert "·laser" in shown(on_grid(frame("laser", "map", 5.0, asked=True)))
 
 
+def test_names_of_frames_leave_the_robot_in_sight() -> None:
+    """A frame a little behind the robot has its dot where the robot's arrow is."""
+    behind = (frame(f"laser{number}", "map", 5.0 - number * 0.05, asked=True) for number in range(9))
+    assert shown(on_grid(frame("base_link", "map", 5.0), *behind)).count("▶") == 2, "on the map, and in the legend"
+
+
 def test_robot_whose_transform_is_old_is_named() -> None:
     view = on_grid(frame("base_link", "map"))
     fresh = view.draw(WISH)

@@ -21,12 +21,15 @@ from tests.support.bridge import carries, reloaded, stage
 from tests.support.domain import LATCHED, text
 from tests.support.filled import filled
 from tests.support.inside import inside
+from tests.support.participants import KnownNode
 from tests.support.waiting import eventually
 from tests.support.wording import pattern
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.files import UNFINISHED, Shortage
+from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Client, Topic
+from rsb_bridge.ros.ros_interface import TopicSpec
 from rsb_bridge.route.receiver import Receiver
 from rsb_bridge.route.sender import Sender
 from rsb_extras.pictures.look_requests import EndLook, LookAtTopics
@@ -102,6 +105,33 @@ def test_both_sides_write_what_passed(bridge: Bridge, robot: Domain, pc: Domain,
     assert len([*folder.glob("*.mcap")]) == 2, "nothing is overwritten"
 
 
+def test_topic_of_a_type_that_nobody_describes_is_written(bridge: Bridge) -> None:
+    robot, pc = KnownNode(bridge.robot.id, "sends"), KnownNode(bridge.pc.id, "hears")
+    for node in (robot, pc):
+        node.start()
+    try:
+        spec = TopicSpec("/blob", "made_up_msgs/msg/Blob", f"RIHS01_{'5a' * 32}", Qos(depth=20))
+        publisher, received = robot.advertise(spec, "robot"), list[bytes]()
+        pc.subscribe(spec, lambda batch: received.extend(each.payload for each in batch), "pc")
+        server, client = bridge.both(Topic("/blob", "transmit"), features=ON)
+        payload = b"\0\1\0\0\7"
+
+        def is_heard() -> bool:
+            publisher.publish(payload)
+            return bool(received)
+
+        eventually(is_heard)
+        for engine in (server, client):
+            written = keep(engine)
+            assert written.undescribed == ("/blob",)
+            schema, channel, message = read_strictly(written.path)[0]
+            assert (schema.name, schema.encoding, channel.topic) == (spec.type_name, "", "/blob")
+            assert message.data == payload
+    finally:
+        for node in (robot, pc):
+            node.stop()
+
+
 def test_off_no_route_has_a_tap(bridge: Bridge, robot: Domain, pc: Domain) -> None:
     listener, publisher = pc.listener("/chat"), robot.publisher("/chat")
     engines = bridge.both(Topic("/chat", "transmit"))
@@ -114,6 +144,14 @@ def test_off_no_route_has_a_tap(bridge: Bridge, robot: Domain, pc: Domain) -> No
         assert not half.flow.peek_slot.wanted
         with pytest.raises(EngineError, match="record: true"):
             keep(engine)
+
+
+@pytest.mark.parametrize("side", ["here", "there"])
+def test_what_is_recorded_does_not_rest(side: str, bridge: Bridge, robot: Domain) -> None:
+    publisher = robot.publisher("/chat")
+    bridge.server(features=ON if side == "there" else {})
+    bridge.client(Topic("/chat", "transmit", lazy=True), features=ON if side == "here" else {})
+    eventually(publisher.get_subscription_count)
 
 
 def test_burst_of_large_and_small_keeps_order(bridge: Bridge, robot: Domain, pc: Domain) -> None:

@@ -8,6 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 import yaml
+from mcap.opcode import Opcode
+from mcap.records import SummaryOffset
+from mcap.stream_reader import StreamReader
 from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import ConnectionExtRosbag2, QosDurability, QosHistory, QosReliability
@@ -36,9 +39,14 @@ if TYPE_CHECKING:
 
 
 def topic(type_name: str, name: str = "/topic", **changes: Any) -> RecordedTopic:
+    text = installed(type_name)
+    return RecordedTopic(name, type_name, hash_of_text(text), text, Qos())._replace(**changes)
+
+
+def installed(type_name: str) -> str:
     text = installed_description(type_name)
     assert text is not None
-    return RecordedTopic(name, type_name, hash_of_text(text), text, Qos())._replace(**changes)
+    return text
 
 
 def content(type_name: str) -> bytes:
@@ -100,6 +108,65 @@ def test_times_of_any_clock_are_written(time: int, tmp_path: Path) -> None:
         recording.add(topic("std_msgs/msg/String"), content("std_msgs/msg/String"), time, -time, 1 << 40)
     ((_, _, message),) = read_strictly(path)
     assert message.log_time == min(max(0, time), (1 << 64) - 1)
+
+
+def test_message_is_published_before_it_is_logged(tmp_path: Path) -> None:
+    """An estimate of when it was published on the other side may be some ms too late."""
+    path = tmp_path / "one.mcap"
+    with new_recording(path) as recording:
+        for published in (900, 1_500):
+            recording.add(topic("std_msgs/msg/String"), content("std_msgs/msg/String"), 1_000, published)
+    assert [message.publish_time for _, _, message in read_strictly(path)] == [900, 1_000]
+
+
+def test_groups_of_the_summary_have_records(tmp_path: Path) -> None:
+    path = tmp_path / "one.mcap"
+    with new_recording(path) as recording:
+        recording.add(topic("std_msgs/msg/String"), content("std_msgs/msg/String"), 1, 1)
+    with path.open("rb") as file:
+        groups = [
+            record for record in StreamReader(file, emit_chunks=True).records if isinstance(record, SummaryOffset)
+        ]
+    assert {each.group_opcode for each in groups} == {
+        Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS, Opcode.CHUNK_INDEX
+    }  # fmt: skip
+    assert all(each.group_length for each in groups)
+
+
+def test_type_without_a_description_has_its_name(tmp_path: Path) -> None:
+    """As rosbag2 writes it; the topics beside it are read."""
+    path, sent = tmp_path / "one.mcap", content("std_msgs/msg/String")
+    with new_recording(path) as recording:
+        recording.add(RecordedTopic("/blob", "made_up_msgs/msg/Blob", "", "", Qos()), b"\0\1\0\0\1", 1, 1)
+        recording.add(topic("std_msgs/msg/String"), sent, 2, 2)
+    (schema, channel, message), _ = read_strictly(path)
+    assert (schema.name, schema.encoding, schema.data) == ("made_up_msgs/msg/Blob", "", b"")
+    assert (channel.topic, channel.message_encoding, message.data) == ("/blob", "cdr", b"\0\1\0\0\1")
+    with AnyReader([path]) as reader:
+        known = [connection for connection in reader.connections if connection.topic == "/topic"]
+        assert [payload for _, _, payload in reader.messages(known)] == [sent]
+
+
+def test_messages_without_fields_have_a_field() -> None:
+    """Sections behind are not empty, either: test_msgs/msg/Arrays has a field of constants alone."""
+    hidden = "uint8 structure_needs_at_least_one_member"
+    assert message_definition(installed("std_msgs/msg/Empty")) == f"{hidden}\n"
+    assert f"MSG: test_msgs/Constants\n{hidden}\n" in message_definition(installed("test_msgs/msg/Arrays"))
+    assert message_definition(text_of(TypeDescription(MessageType("pkg/msg/Name", ()), ()))) == f"{hidden}\n"
+
+
+@pytest.mark.parametrize(
+    "type_name", ["test_msgs/msg/Arrays", "test_msgs/msg/UnboundedSequences", "test_msgs/msg/Nested"]
+)
+def test_types_with_constants_alone_are_read(type_name: str, tmp_path: Path) -> None:
+    path, sent = tmp_path / "one.mcap", content(type_name)
+    with new_recording(path) as recording:
+        recording.add(topic(type_name), sent, 1, 1)
+    with AnyReader([path]) as reader:
+        ((connection, _, payload),) = reader.messages()
+        again = reader.typestore.serialize_cdr(reader.deserialize(payload, connection.msgtype), connection.msgtype)
+    kind = installed_class(type_name)
+    assert deserialize_message(bytes(again), kind) == filled(kind)
 
 
 def test_nothing_is_overwritten(tmp_path: Path) -> None:

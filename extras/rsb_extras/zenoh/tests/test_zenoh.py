@@ -89,6 +89,17 @@ def test_what_crosses_is_what_was_published(
         settled(sender, name, 100, delivered=lambda: 100)
 
 
+def test_lazy_topic_rests_over_zenoh(bridge: Bridge, router: Router, robot: Domain, pc: Domain) -> None:
+    out = robot.publisher("/image", qos=BEST_EFFORT)
+    server, client = bridge.both(Topic("/image", "transmit", lazy=True), **over(router))
+    eventually(lambda: {route(engine, "/image").state for engine in (server, client)} == {State.RESTING})
+    assert out.get_subscription_count() == 0
+    there = pc.listener("/image", qos=BEST_EFFORT)
+    carries([out], server, ["/image"])
+    out.publish(text("an image"))
+    assert heard(there, 1) == [text("an image")]
+
+
 def test_a_router_that_is_killed_and_comes_back(bridge: Bridge, router: Router, robot: Domain, pc: Domain) -> None:
     there, out = pc.listener("/scan"), robot.publisher("/scan")
     pc.listener("/map", qos=LATCHED), robot.publisher("/map", qos=LATCHED).publish(text("a map"))

@@ -1,4 +1,8 @@
-"""The goals of an action's route in its providing half, which cancels them if a session wants that."""
+"""The goals of an action's route, as its halves follow them by calls, answers and messages.
+
+While the action is paused or disarmed, only ``send_goal`` is withdrawn: goals can still be cancelled and watched. The
+providing half cancels them once an arming ends, if a session wants that.
+"""
 
 from __future__ import annotations
 
@@ -8,19 +12,77 @@ from typing import TYPE_CHECKING, Any
 from rsb_bridge.model.by_hand import END_CANCEL
 from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL, STATUS
 from rsb_bridge.ros.ros_interface import RosError
-from rsb_bridge.route.calls.goals import MOST_GOALS, Goals, accepted_by, cancel_request, goal_of, refuses_cancel
+from rsb_bridge.route.calls.asked_calls import CallerKind
+from rsb_bridge.route.calls.goals import (
+    MOST_GOALS,
+    Goals,
+    accepted_by,
+    cancel_request,
+    goal_of,
+    refuses_cancel,
+    rejection_of,
+)
 from rsb_bridge.route.calls.provided_calls import ProviderKind
 from rsb_bridge.wire.headers import CallFrame, What
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from rsb_bridge.ros.ros_interface import RawMessage, Response
+    from rsb_bridge.ros.ros_interface import RawMessage, Response, ServiceServer
+    from rsb_bridge.route.calls.asked_calls import CallerCall, CallerCalls
     from rsb_bridge.route.calls.calls_flow import CallsFlow
+    from rsb_bridge.route.calls.manual_call import ManualCall
     from rsb_bridge.route.calls.paced_client import PacedClient
     from rsb_bridge.route.calls.provided_calls import CalledService, PeersCall
 
+_ALL_GOALS = bytes(16)
+"""In the place of a cancelled goal's id."""
 _CANCELLED_WITHIN = 5.0  # s. A round figure: an operator has to hear soon that a robot may go on
+
+
+class CallerGoals(CallerKind):
+    """Follows goals by the calls, answers and messages of an action."""
+
+    goals: Goals
+
+    def __init__(self, flow: CallsFlow, pending: CallerCalls) -> None:
+        super().__init__(flow, pending)
+        self.goals = Goals(flow.route.context.wall)
+
+    def begins(self, call: CallerCall, payload: bytes) -> None:
+        call.request = payload
+        goal = goal_of(payload)
+        if call.lane == SEND_GOAL and goal is not None:
+            self.goals.asked(goal)
+        elif call.lane == GET_RESULT and goal is not None:
+            call.goal = goal
+
+    def repeats(self, call: CallerCall) -> bool:
+        # A goal may begin once only, and a late cancel of all goals would end some that have begun since.
+        return call.lane in (CANCEL_GOAL, GET_RESULT) and goal_of(call.request) not in (None, _ALL_GOALS)
+
+    def refused(self, lane: int, server: ServiceServer | ManualCall, caller: bytes, request: bytes) -> None:
+        """Answer that a goal is not accepted: it did not begin, and will not."""
+        if lane != SEND_GOAL or not request:  # an operator's is not remembered
+            return
+        if (goal := goal_of(request)) is not None:
+            self.goals.answered(goal, accepted=False)
+        try:
+            server.answer(caller, rejection_of(request))
+        except RosError as error:
+            self._flow.failures.say(f"a caller could not be answered: {error}")
+
+    def answered(self, call: CallerCall, frame: CallFrame) -> None:
+        if (goal := goal_of(call.request)) is not None:
+            self.goals.response(call.lane, goal, frame.content)
+
+    def unanswered(self, call: CallerCall) -> None:
+        if call.lane == SEND_GOAL and (goal := goal_of(call.request)) is not None:
+            self.goals.unanswered(goal)  # it may have been accepted
+
+    def publishes(self, frame: CallFrame) -> bool:
+        self.goals.message(frame.lane, frame.content)
+        return True
 
 
 class ProviderGoals(ProviderKind):
