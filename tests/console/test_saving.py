@@ -214,9 +214,9 @@ async def test_the_difference_is_shown_before_it_is_written(app: ConsoleApp, pil
     await pilot.press("w")
     await shown(pilot, "-- {topic: /a0, direction: transmit}")
     await gone(pilot, "/a20, direction")
-    await pilot.press("pagedown")
+    await pilot.press("pagedown", "pagedown")
     await shown(pilot, "-- {topic: /a20, direction: transmit}")
-    await shown(pilot, "+- {topic: /a0, direction: transmit, max_rate: 5.0}")
+    await shown(pilot, "+- {topic: /a0, direction: transmit, max_rate: 5}")
     await shown(pilot, "Save        No")
     assert "max_rate" not in path.read_text()
 
