@@ -65,6 +65,7 @@ class Context:
         moved_by: the rest messages of the routes that have moved a topic last, by the topic's name.
         rests: tasks that publish rests after an arming, to be awaited before the ROS side stops.
         names_changed: to be called when another set of names of the graph is followed (`link.graph_watch.NameWatch`).
+        is_unsaved: returns whether the running session differs from its file; with many topics it takes a while.
         tap_of: returns what gets all messages of a topic (`route.peeking.Tap`), or None. It takes the topic's name on
             this side, and a route or another object with `type_name`, `type_hash` and `qos`.
     """
@@ -93,6 +94,7 @@ class Context:
     moved_by: dict[str, object] = field(default_factory=dict)
     rests: set[asyncio.Task[None]] = field(default_factory=set)
     names_changed: Callable[[], None] = lambda: None
+    is_unsaved: Callable[[], bool] = lambda: False
     tap_of: Callable[[str, Any], Callable[[bytes, int, int, bytes, int], None] | None] = lambda _, __: None
     _shared: dict[Callable[[Context], Any], Any] = field(default_factory=dict)
 

@@ -8,6 +8,12 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 OF_OTHERS = {
+    "bridge/rsb_bridge/config/yaml_text.py": (
+        "mapping values",
+        "while parsing a flow",
+        "simple key",
+        "quoted scalar",
+    ),
     "bridge/rsb_bridge/ros/native/rclpy_extension.py": (", at ",),
     "extras/rsb_extras/bench/loopback.py": ("model name",),
     "extras/rsb_extras/zenoh/network.py": ("Unable to connect", " at /"),

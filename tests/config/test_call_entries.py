@@ -226,7 +226,7 @@ def test_session_refuses_what_file_cannot_say(field: str, value: Any) -> None:
         (
             lambda topics: (topics[0], replace(topics[1], timeout=9.0), *topics[2:]),
             "timeout: 5.0}   # slow",
-            "timeout: 9.0}   # slow",
+            "timeout: 9}   # slow",
         ),
         (lambda topics: (Topic("/b", "receive", kind="service"), *topics), "    type: std_srvs/srv/Trigger\n",
          "    type: std_srvs/srv/Trigger\n  - service: /b\n    provider: client\n"),

@@ -98,6 +98,16 @@ ROWS = (
         State.WAITING, Cause.SIMILAR_NAME,
         "no publisher of /w_tpyo in domain … did you mean /w_typo?",
         "robot1: no publisher of /w_tpyo in domain … did you mean /w_typo?"),
+    Row("a name with the prefix of another namespace", Topic("/robot7/w_front", "transmit"),
+        (Spec("front", "/w_front", 5),), (),
+        State.WAITING, Cause.SIMILAR_NAME,
+        "no publisher of /robot7/w_front in domain … did you mean /w_front?",
+        "robot1: no publisher of /robot7/w_front in domain … did you mean /w_front?"),
+    Row("a direction that is reversed", Topic("/reversed", "receive"),
+        (Spec("sonar", "/reversed", 5),), (),
+        State.WAITING, Cause.PUBLISHED_THERE,
+        "server: no publisher of /reversed in domain … /sonar publishes it on robot1: direction: transmit?",
+        "no publisher of /reversed in domain … /sonar publishes it on robot1: direction: transmit?"),
     Row("two types on one topic", Topic("/mixed", "transmit"),
         (Spec("one", "/mixed", 5), Spec("other", "/mixed", 5, type="Int32", alone=True)), (Spec("mapper", "/mixed"),),
         State.UNHEARD, Cause.TYPE_CONFLICT,
@@ -251,7 +261,8 @@ def world(tmp_path_factory: pytest.TempPathFactory, _domains: int) -> Iterator[W
 def test_both_sides_name_the_cause(world: World, row: Row) -> None:
     world.act(row)
     gone = row.leaves if row.cause is Cause.NO_SUBSCRIBER else ""
-    publishers = [f"/{spec.node}" for spec in row.robot if spec.topic == row.topic.topic]
+    sends = row.topic.direction == "transmit"
+    publishers = [f"/{spec.node}" for spec in row.robot if sends and spec.topic == row.topic.topic]
     ends = publishers, [f"/{spec.node}" for spec in row.pc if spec.node != gone]
 
     def named(routes: list[dict[str, Any]]) -> bool:

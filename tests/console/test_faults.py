@@ -12,12 +12,13 @@ from textual.pilot import Pilot
 
 from rsb_bridge.model.snapshot import LinkSnapshot, RefusedClient, RouteSnapshot, Snapshot, State
 from rsb_bridge.model.verdict import Cause, Verdict
-from rsb_bridge.route.resolving import no_publisher
+from rsb_bridge.route.resolving import Elsewhere, no_publisher
 from rsb_console.app import ConsoleApp
 from rsb_console.widgets.fault_pane import Heights, MoreKeys, fault_lines, faults_of, link_fault
 
 QOS = "/camera offers best effort, but this topic asks for reliable: its messages are not received; set qos: auto"
-TYPO = route("/w_tpyo", State.WAITING, cause="similar_name", reason=no_publisher("/w_tpyo", "3", "/w_typo"))
+MEANT = Elsewhere(Cause.SIMILAR_NAME, "did you mean /w_typo?")
+TYPO = route("/w_tpyo", State.WAITING, cause="similar_name", reason=no_publisher("/w_tpyo", "3", MEANT))
 CAMERA = route("/camera", State.DOWN, reason="refused there")
 SIZES = [pytest.param(size, id=str(size)) for size in ((200, 50), (120, 36), (80, 24), (60, 24), (39, 20))]
 

@@ -1,13 +1,14 @@
 """Sessions saved from the console, over their files and elsewhere; and the list of the recent ones."""
 
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import pytest
 from tests.console.driving import NARROW, WIDE, Decorator, engine_of, fill, gone, notices, on_main, shown, text, until
-from tests.console.scripted import SESSION
+from tests.console.scripted import LINK, SESSION
 from textual.pilot import Pilot
 
 from rsb_bridge.config.files import replace_file
@@ -16,6 +17,7 @@ from rsb_bridge.config.session_file import dump, load, save
 from rsb_bridge.model.session import Client, Session, Topic
 from rsb_console.app import ConsoleApp
 from rsb_console.operations.bridge_operations import ReloadText
+from rsb_console.operations.save_operations import SaveQuestion
 from rsb_console.operations.session_operations import SessionQuestion
 from rsb_console.screens.save_screens import SaveText
 from rsb_console.session.recent_sessions import LIMIT, recent_sessions, remember
@@ -86,6 +88,19 @@ async def test_unsaved_changes_are_in_header_and_footer(app: ConsoleApp, pilot: 
     await shown(pilot, " w save ")
     await pilot.press("w", "y")
     await until(pilot, lambda: "unsaved" not in text(app) and " w save " not in text(app), "saved")
+
+
+@on_file(dump(SESSION), WIDE, NARROW)
+async def test_change_of_other_side_s_session_is_saved_there(app: ConsoleApp, pilot: Pilot[None], path: Path) -> None:
+    """`w` writes no file here, and says where."""
+    before = path.read_text()
+    engine = engine_of(app)
+    engine.now = replace(engine.now, links=(replace(LINK, unsaved_there=True),))
+    await shown(pilot, "● unsaved on the server")
+    await pilot.press("w")
+    said = SaveQuestion.ONLY_THERE(name="the server")
+    await until(pilot, lambda: any(said in each.message for each in notices(app)), "where it is saved")
+    assert path.read_text() == before
 
 
 @on_file(f"# mine\n{dump(SESSION)}")
@@ -199,9 +214,9 @@ async def test_the_difference_is_shown_before_it_is_written(app: ConsoleApp, pil
     await pilot.press("w")
     await shown(pilot, "-- {topic: /a0, direction: transmit}")
     await gone(pilot, "/a20, direction")
-    await pilot.press("pagedown")
+    await pilot.press("pagedown", "pagedown")
     await shown(pilot, "-- {topic: /a20, direction: transmit}")
-    await shown(pilot, "+- {topic: /a0, direction: transmit, max_rate: 5.0}")
+    await shown(pilot, "+- {topic: /a0, direction: transmit, max_rate: 5}")
     await shown(pilot, "Save        No")
     assert "max_rate" not in path.read_text()
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import msgspec
 import pytest
 from tests.support.bridge import happened, route
-from tests.support.waiting import eventually
+from tests.support.waiting import eventually, holds
 from tests.support.wording import pattern
 
 from rsb_bridge.api import EngineError, Unable
@@ -48,6 +48,37 @@ def test_a_change_is_unsaved_until_it_is_saved(bridge: Bridge) -> None:
         assert path.read_text().startswith("# mine\n")
         assert load(path).topics or load(path).listed_clients[0].topics
         assert [event.who for event in side.events() if event.code == EventCode.OPERATOR_SAVED] == ["anna"]
+
+
+def test_change_of_other_side_s_session_is_unsaved_there(bridge: Bridge) -> None:
+    """The robot lists the topic: until it is saved there, the robot's restart loses what the server's operator did."""
+    server, client = bridge.both(SCAN)
+    on_file(client, bridge.folder / "robot.yaml")
+    on_file(server, bridge.folder / "server.yaml")
+
+    def unsaved_there() -> list[bool]:
+        return [side.snapshot().links[0].unsaved_there for side in (server, client)]
+
+    key = route(server, "/scan").key
+    changes = (
+        lambda: server.edit_topic(key, msgspec.structs.replace(SCAN, max_rate=5.0)),
+        lambda: server.pause(key, True),
+        lambda: server.remove_topic(key),
+    )
+    for change in changes:
+        change().result(60)
+        eventually(lambda: unsaved_there() == [True, False])
+        assert not server.snapshot().unsaved
+        assert client.snapshot().unsaved
+        client.do(Save()).result(60)
+        eventually(lambda: unsaved_there() == [False, False])
+
+
+def test_own_changes_are_not_told_to_other_side(bridge: Bridge) -> None:
+    server, client = bridge.both(SCAN)
+    on_file(client, bridge.folder / "robot.yaml")
+    client.pause(route(client, "/scan").key, True).result(60)
+    holds(lambda: not server.snapshot().links[0].unsaved_there, 2.5)
 
 
 def test_a_change_that_is_taken_back_is_saved(bridge: Bridge) -> None:

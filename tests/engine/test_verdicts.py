@@ -5,8 +5,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from tests.console.live import running
+from tests.console.nodes import Spec, encoded
 from tests.support.bridge import carries, happened, route
 from tests.support.domain import BEST_EFFORT, text
 from tests.support.relay import message_number
@@ -79,3 +81,23 @@ def test_half_of_the_messages_lost_on_the_way(bridge: Bridge, relay: Relay, robo
         eventually(lambda: (event := happened(server, EventCode.ROUTE_FAULT)) and event.cause == Cause.LOSSY)
         relay.to_server = lambda datagram: [datagram]
         eventually(lambda: {route(engine, "/scan").state for engine in (client, server)} == {State.OK})
+
+
+def test_type_that_publisher_changes_is_its_fault(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    """The subscriber is as it was; a restarted publisher has another type."""
+    listener = pc.listener("/scan")
+    server, client = bridge.both(Topic("/scan", "transmit"))
+
+    def publishes(spec: Spec) -> Any:
+        return running("tests.console.nodes", str(robot.id), encoded([spec]))
+
+    with publishes(Spec("lidar", "/scan", 20)):
+        eventually(lambda: listener.payloads)
+    eventually(lambda: not route(server, "/scan").publishers)
+    with publishes(Spec("lidar", "/scan", 20, type="Int32")):
+        words = (
+            "/lidar publishes std_msgs/msg/Int32 now, /stock has std_msgs/msg/String as before: correct the publisher"
+        )
+        for engine in (client, server):
+            eventually(lambda engine=engine: words in route(engine, "/scan").reason)
+            assert route(engine, "/scan").cause == Cause.TYPE_CONFLICT

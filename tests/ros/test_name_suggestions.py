@@ -10,7 +10,7 @@ from tests.support.virtual_time import virtual_loop
 
 from rsb_bridge.model.calls import LANES
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.ros.ros_graph import Asked, NameSuggester, Searches, SimilarTopics
+from rsb_bridge.ros.ros_graph import Asked, NameSuggester, Searches, SimilarTopics, Sought
 from rsb_bridge.ros.ros_interface import Endpoint, RosError
 from rsb_bridge.ros.stand_in import NoRos
 
@@ -111,7 +111,44 @@ def test_only_what_is_published_and_alike_is_named() -> None:
         ("/odom", ""),
         ("/battery_state", ""),
     ):
-        assert found(SimilarTopics, graph, topic) == similar
+        assert found(SimilarTopics, graph, Sought(topic)) == similar
+
+
+class _Lidar(NoRos):
+    """A graph of these topics: the type of each, and its publisher."""
+
+    def __init__(self, **topics: tuple[str, str]) -> None:
+        self.published = {f"/{name.replace('__', '/')}": ends for name, ends in topics.items()}
+
+    def topics(self) -> dict[str, list[str]]:
+        return {topic: [type_name] for topic, (type_name, _) in self.published.items()}
+
+    def publishers(self, topic: str) -> list[Endpoint]:
+        type_name, node = self.published[topic]
+        return [Endpoint(node, type_name, "", Qos())]
+
+
+SCAN, TEXT = "sensor_msgs/msg/LaserScan", "std_msgs/msg/String"
+LIDAR = frozenset({"/lidar"})
+
+
+@pytest.mark.parametrize(
+    ("sought", "topics", "meant"),
+    [
+        (Sought("/robot1/scan"), {"scan": (SCAN, "/lidar")}, "/scan"),
+        (Sought("/scan"), {"robot1__scan": (SCAN, "/lidar")}, "/robot1/scan"),
+        (Sought("/scan"), {"robot1__scan": (SCAN, "/lidar"), "robot2__scan": (SCAN, "/lidar")}, ""),
+        (Sought("/scan", SCAN), {"front_laser": (SCAN, "/lidar"), "odom": (TEXT, "/lidar")}, "/front_laser"),
+        (Sought("/scan", SCAN), {"front_laser": (SCAN, "/lidar"), "rear_laser": (SCAN, "/lidar")}, ""),
+        (Sought("/chat", TEXT), {"robot_description": (TEXT, "/robot_state_publisher")}, ""),
+        (Sought("/chat", TEXT, LIDAR), {"words": (TEXT, "/lidar"), "robot_description": (TEXT, "/other")}, "/words"),
+        (Sought("/chat", TEXT, LIDAR), {"chart": (TEXT, "/other")}, ""),
+    ],
+)
+def test_other_namespace_and_same_type_are_found(
+    sought: Sought, topics: dict[str, tuple[str, str]], meant: str
+) -> None:
+    assert found(SimilarTopics, _Lidar(**topics), sought) == meant
 
 
 def test_one_search_a_second_whoever_asks() -> None:
@@ -121,9 +158,9 @@ def test_one_search_a_second_whoever_asks() -> None:
         similar = SimilarTopics(graph, asyncio.get_running_loop())
         for _ in range(100):
             for number in range(1, 50):
-                similar.of(f"/topic{number}", lambda: None)
+                similar.of(Sought(f"/topic{number}"), lambda: None)
             await asyncio.sleep(0.1)
-        return similar.of("/topic1", lambda: None)
+        return similar.of(Sought("/topic1"), lambda: None)
 
     with virtual_loop() as loop:
         assert loop.run_until_complete(ask()) == "/topic0"
@@ -135,7 +172,7 @@ def test_search_among_many_names_leaves_the_loop_to_others() -> None:
 
     async def turns() -> int:
         similar, passed = SimilarTopics(graph, asyncio.get_running_loop()), 0
-        while not similar.of("/robot7/image_rwa", lambda: None):
+        while not similar.of(Sought("/robot7/image_rwa"), lambda: None):
             passed += 1
             await asyncio.sleep(0)
         return passed
@@ -152,10 +189,10 @@ def test_search_that_fails_keeps_no_other_from_being_made() -> None:
     async def ask() -> tuple[str, str]:
         similar = SimilarTopics(graph, asyncio.get_running_loop())
         works, graph.topics = graph.topics, fail  # type: ignore[method-assign]
-        before = await answered(similar, "/w_tpyo")
+        before = await answered(similar, Sought("/w_tpyo"))
         graph.topics = works  # type: ignore[method-assign]
         await asyncio.sleep(20)
-        return before, await answered(similar, "/w_tpyo")
+        return before, await answered(similar, Sought("/w_tpyo"))
 
     with virtual_loop() as loop:
         assert loop.run_until_complete(ask()) == ("", "/w_typo")

@@ -83,7 +83,26 @@ def test_topic_that_moves_nothing_has_no_drivers(world: World) -> None:
     gates = len(world.path.gates.arriving)
     other(world)
     moves(world)
-    assert (looked(world), says(world), len(world.path.gates.arriving)) == ((), FINE, gates)
+    assert (looked(world), len(world.path.gates.arriving)) == ((), gates)
+
+
+def test_second_publisher_is_named_and_is_no_fault_when_it_leaves(world: World) -> None:
+    for _ in range(4):
+        moves(world)
+    assert says(world) == FINE
+    other(world)
+    for _ in range(5):
+        moves(world)
+    found = world.sender.route.snapshot()
+    assert says(world) == SEVERAL
+    assert found.expected_rate == pytest.approx(15.0, rel=0.1)
+    assert "/joystick and /talker" in found.reason
+    del world.graph.nodes[SECOND]
+    world.sender.route.advance()
+    for _ in range(4):
+        moves(world)
+        assert says(world) == FINE
+        assert world.sender.route.snapshot().expected_rate == pytest.approx(10.0, rel=0.1)
 
 
 def test_each_driver_here_has_its_rate(driven: World) -> None:

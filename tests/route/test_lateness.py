@@ -169,7 +169,7 @@ def test_the_recent_latency_is_of_the_last_second() -> None:
 
 
 def test_seconds_have_two_figures() -> None:
-    assert [seconds_text(each) for each in (0.003, 1.42, 12.3, 185)] == ["0.003 s", "1.4 s", "12 s", "3 min"]
+    assert [seconds_text(each) for each in (0.0004, 0.003, 1.42, 185)] == ["under 1 ms", "3 ms", "1.4 s", "3 min"]
 
 
 def test_shown_latency_is_of_last_ten_seconds() -> None:

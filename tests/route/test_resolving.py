@@ -11,6 +11,7 @@ import pytest
 
 from rsb_bridge.cdr.description import TypeVersion
 from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.session import Direction, Topic
 from rsb_bridge.ros.ros_interface import Endpoint
 from rsb_bridge.route.resolving import Resolver, UnresolvedError, choose_type, left_out
 from rsb_bridge.wire.messages import Propose
@@ -51,6 +52,8 @@ def test_type_of_session_is_sent_regardless() -> None:
     assert chosen(*publishers, wanted=A) == (A, "1")
     assert not left_out(publishers, A, A)
     with pytest.raises(UnresolvedError, match=rf"{B} \(from /b\).*{A}"):
+        chosen(publisher(B, "2", "/b"), wanted=A)
+    with pytest.raises(UnresolvedError, match=rf"{B} \(from /b\) now, and no longer {A}: correct them"):
         chosen(publisher(B, "2", "/b"), wanted=A, used=TypeVersion(A, "1"))
 
 
@@ -81,35 +84,73 @@ def test_a_sentence_names_a_few_nodes_and_types() -> None:
     assert "and 2 more" in str(failure.value)
 
 
+class Side(SimpleNamespace):
+    """A sending side's route of /robot1/scan whose graph has one other topic that may be meant, if any."""
+
+    def __init__(self, meant: str = "", *publishers: Endpoint, lists: Direction = "transmit") -> None:
+        ros = SimpleNamespace(publishers=lambda _: self.published, installed_hash=lambda _: None)
+        super().__init__(
+            published=[*publishers],
+            context=SimpleNamespace(domain="3", similar_topics=SimpleNamespace(of=lambda *_: meant), ros=ros),
+            proposal=Propose(route=1, topic="/robot1/scan", remote_topic="/robot1/scan", from_client=True),
+            peer=SimpleNamespace(is_client=False, name="robot1"),
+            spec=Topic("/robot1/scan", lists),
+            far_topic="/robot1/robot1/scan",
+            judge_again=lambda: None,
+        )
+
+    @property
+    def resolver(self) -> Resolver:
+        return Resolver(cast("Any", self))
+
+
+NOBODY = "no publisher of /robot1/scan in domain 3"
+
+
 def test_similar_name_is_suggested_for_moved_topic() -> None:
-    elsewhere = [publisher(A, "1", "/other")]
-    context = cast(
-        "Any",
-        SimpleNamespace(
-            domain="3",
-            similar_topics=SimpleNamespace(of=lambda *_: "/chart"),
-            ros=SimpleNamespace(publishers=lambda topic: elsewhere),
-        ),
-    )
-    resolver = Resolver(context, Propose(route=1, topic="/chat", remote_topic="/chat", from_client=True), lambda: None)
-    assert resolver.no_publisher() == "no publisher of /chat in domain 3; did you mean /chart?"
+    side = Side("/robot1/scam", publisher(A, "1", "/other"))
+    resolver = side.resolver
+    assert resolver.no_publisher() == f"{NOBODY}; did you mean /robot1/scam?"
     resolver.update([publisher(A, "1", "/talker")])
-    assert resolver.similar == ""
+    assert resolver.elsewhere is None
     resolver.update([])
-    assert resolver.similar == "", "another node's topic"
-    elsewhere.append(publisher(A, "1", "/talker"))
-    assert resolver.similar == "/chart", "its publisher has another name for it now"
+    assert resolver.elsewhere is None, "another node's topic"
+    side.published.append(publisher(A, "1", "/talker"))
+    assert resolver.no_publisher() == f"{NOBODY}; did you mean /robot1/scam?", "its publisher's topic has another name"
+
+
+def test_prefix_that_server_adds_is_named() -> None:
+    side = Side("/scan", publisher(A, "1", "/lidar"))
+    assert side.resolver.no_publisher() == f"{NOBODY}; did you mean /scan? The server adds /robot1"
+    side.far_topic = "/robot1/scan"
+    assert side.resolver.no_publisher() == f"{NOBODY}; did you mean /scan?"
+
+
+def test_remapped_topic_is_named_with_its_nodes() -> None:
+    resolver = Side("/front_laser", publisher(A, "1", "/lidar"), publisher(A, "1", "/b")).resolver
+    assert resolver.no_publisher() == f"{NOBODY}; /b and /lidar publish /front_laser, the same type"
+    resolver.update([publisher(A, "1", "/lidar")])
+    resolver.update([])
+    assert resolver.no_publisher() == f"{NOBODY}; /lidar publishes /front_laser, the same type"
+
+
+@pytest.mark.parametrize(("lists", "meant"), [("transmit", "receive"), ("receive", "transmit")])
+def test_publisher_on_other_side_asks_for_other_direction(lists: Direction, meant: str) -> None:
+    side = Side(lists=lists)
+    resolver = side.resolver
+    resolver.published_there = ("/lidar",)
+    assert resolver.no_publisher() == f"{NOBODY}; /lidar publishes it on robot1: direction: {meant}?"
+    side.peer.is_client = True
+    assert "it on the server:" in resolver.no_publisher()
 
 
 def test_a_search_without_a_result_leaves_no_circle() -> None:
     """A kept traceback leads back to the route, which then lasts until garbage is collected, with all that it has."""
-    ros = SimpleNamespace(publishers=lambda topic: [], installed_hash=lambda type_name: None)
-    context = cast("Any", SimpleNamespace(domain="3", similar_topics=SimpleNamespace(of=lambda *_: ""), ros=ros))
-    resolver = Resolver(context, Propose(route=1, topic="/chat", remote_topic="/chat", from_client=True), lambda: None)
+    resolver = Side().resolver
     gc.disable()
     try:
         assert resolver.resolve(UNUSED, cast("Any", None)) is None
-        assert resolver.why() == "no publisher of /chat in domain 3"
+        assert resolver.why() == NOBODY
         held = weakref.ref(resolver)
         del resolver
         assert held() is None

@@ -27,6 +27,7 @@ from rsb_bridge.route.crossing import Crossing
 from rsb_bridge.route.lateness import QUEUE, WAY, Late, late_verdict
 from rsb_bridge.route.lease import Standstill
 from rsb_bridge.route.listeners import audience
+from rsb_bridge.route.resolving import Elsewhere
 from rsb_bridge.route.sending import USE_TCP
 from rsb_bridge.route.topic_verdict import PUBLISHED_NOTHING, STOPPED_PUBLISHING
 from rsb_bridge.telemetry.watches import Loss
@@ -37,7 +38,7 @@ NOW = 2e6
 """s."""
 ON_ONE_LINE = 80
 """Characters of a text that the first screen shows whole."""
-STRING, INT = "std_msgs/msg/String", "std_msgs/msg/Int32"
+STRING, INT, TF = "std_msgs/msg/String", "std_msgs/msg/Int32", "tf2_msgs/msg/TFMessage"
 RELIABLE, BEST_EFFORT, LATCHED = Qos(), Qos(reliability="best_effort"), Qos(durability="transient_local")
 
 
@@ -70,9 +71,11 @@ NEVER: dict[str, Any] = {"came": False}
 UNANSWERED: dict[str, Any] = {"crossing": Crossing.NOT_OPEN, "accepted": None}
 GONE: dict[str, Any] = {"endpoints": []}
 LOOSE: dict[str, Any] = {"endpoints": [endpoint("/a", BEST_EFFORT)]}
-ALIKE: dict[str, Any] = {"similar": "/char"}
+ALIKE: dict[str, Any] = {"elsewhere": Elsewhere(Cause.SIMILAR_NAME, "did you mean /char?")}
+THERE: dict[str, Any] = {"elsewhere": Elsewhere(Cause.PUBLISHED_THERE, "/lidar publishes it on robot1")}
 STALE: dict[str, Any] = {"stale_since": NOW - 20.0}
 STOPPED: dict[str, Any] = {"stopped_since": NOW - 3.0, "expected_rate": 10.0}
+DOUBLED: dict[str, Any] = {"endpoints": BOTH, "regular": True}
 SLOW: dict[str, Any] = {"slow_since": NOW - 8.0, "expected_rate": 20.0}
 
 
@@ -123,6 +126,8 @@ def test_a_route_that_flows_is_fine() -> None:
         (SENDER, unresolved(Cause.TYPE_CONFLICT), State.DOWN, Cause.TYPE_CONFLICT, ["as told"]),
         (SENDER, GONE | unresolved(Cause.NO_PUBLISHER), State.WAITING, Cause.NO_PUBLISHER, ["as told"]),
         (SENDER, GONE | NEVER | ALIKE, State.WAITING, Cause.SIMILAR_NAME, ["/chat", "domain 2", "/char"]),
+        (SENDER, GONE | NEVER | THERE, State.WAITING, Cause.PUBLISHED_THERE, ["domain 2; /lidar", "robot1"]),
+        (SENDER, GONE | THERE | unresolved(Cause.NO_PUBLISHER), State.WAITING, Cause.PUBLISHED_THERE, ["as told"]),
         (SENDER, STOPPED | GONE | ALIKE, State.STOPPED, Cause.PUBLISHER_GONE, ["any more", "/char?"]),
         (SENDER, NEVER, State.WAITING, Cause.PUBLISHER_SILENT, [f"/talker {PUBLISHED_NOTHING[0]}"]),
         (SENDER, NEVER | {"endpoints": [MAPPER]}, State.WAITING, Cause.PUBLISHER_SILENT, ["/map latches", "volatile"]),
@@ -158,11 +163,23 @@ def test_a_route_that_flows_is_fine() -> None:
         (SENDER, {"loss": Loss(9, 10, "of a newer peer", 0.0)}, State.SLOW, Cause.LOSSY, ["9", "10"]),
         (SENDER, {"loss": Loss(8, 8, "queue full", 0.0), "expired": EXPIRED}, State.LATE, Cause.LINK_SLOW, []),
         (SENDER, {"limit": 5.0}, State.OK, Cause.THROTTLED, ["5 Hz"]),
+        (SENDER, DOUBLED, State.OK, Cause.SEVERAL_PUBLISHERS, ["/b and /talker publish it"]),
+        (SENDER, DOUBLED | {"endpoints": [TALKER, TALKER]}, State.OK, Cause.SEVERAL_PUBLISHERS,
+         ["/talker (2 publishers) publishes it"]),
+        (SENDER, DOUBLED | SLOW | {"rate": 2.0}, State.SLOW, Cause.SLOW, ["/b and /talker"]),
+        (SENDER, {"endpoints": BOTH}, State.OK, Cause.NONE, []),
+        (SENDER, DOUBLED | {"endpoints": [TALKER, endpoint("/_rsb_robot2_0123abcd")]}, State.OK, Cause.NONE, []),
+        (SENDER, DOUBLED | {"endpoints": [endpoint(each, type_name=TF) for each in "ab"], "type_name": TF}, State.OK,
+         Cause.NONE, []),
         (RECEIVER, GONE, State.UNHEARD, Cause.NO_SUBSCRIBER, ["/robot1/chat", "domain 3"]),
         (RECEIVER, {"qos": BEST_EFFORT}, State.UNHEARD, Cause.QOS_INCOMPATIBLE, ["/rviz ", "reliable", "best_effort"]),
         (RECEIVER, {"endpoints": [TALKER, MAPPER]}, State.UNHEARD, Cause.QOS_INCOMPATIBLE,
          ["/map ", "transient_local"]),
         (RECEIVER, {"endpoints": [ODD]}, State.UNHEARD, Cause.TYPE_CONFLICT, ["/odd ", INT, STRING]),
+        (RECEIVER, {"endpoints": [ODD], "type_before": INT, "publisher_nodes": ("/lidar",)}, State.UNHEARD,
+         Cause.TYPE_CONFLICT, [f"/lidar publishes {STRING} now, /odd has {INT} as before: correct the publisher"]),
+        (RECEIVER, {"endpoints": [ODD], "type_before": INT}, State.UNHEARD, Cause.TYPE_CONFLICT,
+         [f"it is published as {STRING} now, /odd has {INT} as before"]),
     ],
 )  # fmt: skip
 def test_each_cause_is_named_in_words(
@@ -231,7 +248,7 @@ LOST_PACKETS = {
     "slow": Verdict(State.SLOW, Cause.LOSSY, LOSSY.text),
     "stuck": Verdict(State.DOWN, Cause.LOSSY, LOSSY.text),
     "fine": FINE,
-    "opens": Verdict(State.WAITING, Cause.NO_MESSAGE, "waiting: type known"),
+    "opens": Verdict(State.WAITING, Cause.NO_MESSAGE, "not yet: type known"),
     "dead": Verdict(State.STOPPED, Cause.PUBLISHER_SILENT, "/talker has stopped"),
 }
 """A half's verdicts on a path that loses packets."""
@@ -288,7 +305,7 @@ facts = st.fixed_dictionaries(
         "came": st.booleans(),
         "limit": st.sampled_from([0.0, 5.0]),
         "endpoints": endpoints,
-        "similar": texts,
+        "elsewhere": st.sampled_from([None, *ALIKE.values(), *THERE.values()]),
         "described": st.booleans(),
         "type_name": st.sampled_from(["", STRING]),
         "qos": st.none() | qos,

@@ -50,7 +50,7 @@ _OF_TOPIC: dict[str, Any] = {
     "qos": None,
     "unresolved": None,
     "why_unresolved": "",
-    "similar": "",
+    "elsewhere": None,
     "subscribe_failed": "",
     "unmatched": False,
     "sent": 0,
@@ -58,6 +58,8 @@ _OF_TOPIC: dict[str, Any] = {
     "audience": NOBODY,
     "others": (),
     "clocks": frozenset(),
+    "type_before": "",
+    "publisher_nodes": (),
     "drivers": (),
     "left_out": "",
     "stale_since": None,
@@ -65,6 +67,7 @@ _OF_TOPIC: dict[str, Any] = {
     "new": (),
     "slow_since": None,
     "rate": 0.0,
+    "regular": False,
     "expected_rate": None,
     "lost_in_dds": 0,
     "left": 0,
@@ -110,7 +113,7 @@ def topic_half(now: float = 0.0, **facts: Any) -> Any:
     half.offered, half.report_now = known["qos"], None
     half.age = SimpleNamespace(late=lambda: known["expired"])
     half.judged = SimpleNamespace(shown_cause=known["shown_cause"])
-    half.meter = SimpleNamespace(rate=known["rate"])
+    half.meter = SimpleNamespace(rate=known["rate"], regular=known["regular"])
     half.health = SimpleNamespace(
         expected_rate=known["expected_rate"],
         stop=SimpleNamespace(since=known["stopped_since"], new=known["new"]),
@@ -118,7 +121,9 @@ def topic_half(now: float = 0.0, **facts: Any) -> Any:
         losses=SimpleNamespace(loss=known["loss"]),
         lost_in_dds=lambda: known["lost_in_dds"],
     )
-    half.drivers = SimpleNamespace(several=known["drivers"], here=known["drivers"], there=())
+    half.drivers = SimpleNamespace(
+        several=known["drivers"], here=known["drivers"], there=(), are_watched=bool(known["drivers"])
+    )
     backlog = SimpleNamespace(exists=known["left"] > 0, left=known["left"])
     half.path = SimpleNamespace(backlog=backlog)
     half.stale_since = lambda crossing: known["stale_since"]
@@ -126,11 +131,12 @@ def topic_half(now: float = 0.0, **facts: Any) -> Any:
     half.was_full_since = lambda since: known["loss_of_full_link"]
     half.why, half.datagrams = _always(known["why_unresolved"]), _always(known["datagrams"])
     half.failure, half.is_unmatched = known["subscribe_failed"], known["unmatched"]
+    half.ends = _always((known["publisher_nodes"], None, None))
     half.proposal = SimpleNamespace(compression=known["compression"])
     half.resolver = half.subscription = half
     for name in (
-        "endpoints", "type_name", "qos", "unresolved", "similar", "unmatched", "audience", "others", "clocks",
-        "malformed", "loss_unexplained",
+        "endpoints", "type_name", "qos", "unresolved", "elsewhere", "unmatched", "audience", "others", "clocks",
+        "type_before", "malformed", "loss_unexplained",
     ):  # fmt: skip
         setattr(half, name, known[name])
     return half

@@ -193,3 +193,43 @@ def test_one_way_delay_does_not_move_clock() -> None:
     assert clock.offset == pytest.approx(0.999)
     assert clock.uncertainty is not None
     assert clock.uncertainty < 0.02
+
+
+def publish(meter: RateMeter, began: float, rates: list[float], seconds: int = 40) -> list[float | None]:
+    """Have publishers of these rates (Hz) publish from a time on; return the usual rate after each second."""
+    meter.publishers, usual = len(rates), []
+    for second in range(seconds):
+        now = began + second + 1.0
+        messages = sum(int(rate * (second + 1)) - int(rate * second) for rate in rates)
+        meter.add(messages, 100 * messages, now)
+        meter.tick(now)
+        usual.append(meter.usual_rate)
+    return usual
+
+
+def test_each_number_of_publishers_has_its_usual_rate() -> None:
+    meter = RateMeter(0.0)
+    assert publish(meter, 0.0, [10.0])[-1] == pytest.approx(10.0)
+    assert publish(meter, 40.0, [10.0, 10.0])[-1] == pytest.approx(20.0)
+    assert publish(meter, 80.0, [10.0]) == [pytest.approx(10.0)] * 40
+    assert publish(meter, 120.0, [10.0, 10.0]) == [pytest.approx(20.0)] * 40
+
+
+def test_unknown_rate_of_fewer_publishers_is_learned_anew() -> None:
+    meter = RateMeter(0.0)
+    publish(meter, 0.0, [10.0, 10.0])
+    usual = publish(meter, 40.0, [10.0])
+    assert usual[0] is None
+    assert usual[-1] == pytest.approx(10.0)
+    assert meter.regular
+
+
+def test_silence_changes_no_usual_rate() -> None:
+    """One that has died is still listed, or has gone: what it published is missing."""
+    meter = RateMeter(0.0)
+    publish(meter, 0.0, [10.0, 10.0])
+    for publishers in (1, 0):
+        meter.publishers = publishers
+        meter.tick(41.0 + publishers)
+        assert meter.usual_rate == pytest.approx(20.0)
+        assert meter.regular

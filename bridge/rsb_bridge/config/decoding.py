@@ -28,14 +28,14 @@ class ValueMistake(Wording):
 
     NO_VALUE = "has no value: give one, or leave the key out"
     FILE_NOT_A_MAPPING = "is not a mapping of {keys}, ..."
-    NOT_A_MAPPING = "{value} is not a mapping of {keys}, ..."
+    NOT_A_MAPPING = "{value} is not a mapping of {keys}, ...{hint}"
     NO_KNOWN_KEY = "has no key of a {model}: {keys}"
     MISSING = "missing: give {expected}"
     UNKNOWN_KEY = "unknown key: the keys here are {keys}"
     MISSPELT_KEY = "unknown key{hint}"
     SECRET_KEY = "unknown key: a session file never holds the key itself; give the key file's name as key_file"  # noqa: S105 (a text)
     IS_A_KEY = "is a key itself: put it in a file with mode 0600, and give that file's name as key_file"
-    NOT_A_LIST = "{value} is not a list"
+    NOT_A_LIST = "{value} is not a list{hint}"
     MISFIT = "{value} is not {expected}{hint}"
     OF_FEATURE = "{value} needs the feature {feature}, which is not installed: pip install 'rsb-console[{feature}]'"
 
@@ -43,6 +43,7 @@ class ValueMistake(Wording):
 class Hint(Wording):
     """The remedy behind a mistake, in brackets."""
 
+    ENTRY = ": write each entry as - {entry}"
     DID_YOU_MEAN = " (did you mean {name}?)"
     QUOTES = " (put it in quotes)"
     NO_QUOTES = " (leave out the quotes)"
@@ -84,7 +85,7 @@ def read(data: object, model: type[T], problems: list[Problem], location: str = 
     if not isinstance(data, Mapping):
         keys = ", ".join(values or known)
         message = (
-            ValueMistake.NOT_A_MAPPING(value=show(data), keys=keys)
+            ValueMistake.NOT_A_MAPPING(value=show(data), keys=keys, hint=_entry_like(model, data))
             if location
             else ValueMistake.FILE_NOT_A_MAPPING(keys=keys)  # it may hold anything, so it is not quoted
         )
@@ -155,12 +156,28 @@ def _value(value: object, kind: Any, problems: list[Problem], location: str) -> 
     if not lists or (not isinstance(value, list | tuple) and lists != _alternatives(kind)):
         return _entry(value, kind, problems, location)
     if not isinstance(value, list | tuple):
-        message = ValueMistake.NO_VALUE() if value is None else ValueMistake.NOT_A_LIST(value=show(value))
+        message = ValueMistake.NO_VALUE()
+        if value is not None:
+            hint = _entry_like(get_args(lists[0])[0], value)
+            message = ValueMistake.NOT_A_LIST(value=show(value), hint=hint)
         problems.append(Problem(location, message))
         return msgspec.UNSET
     # Each entry by itself: a mistake has its place.
     entries = [_entry(each, get_args(lists[0])[0], problems, join(location, at)) for at, each in enumerate(value)]
     return tuple(entry for entry in entries if entry is not msgspec.UNSET)
+
+
+def _entry_like(kind: Any, value: object) -> str:
+    """Return an example of a list's entry: of its required keys the first has the name that stands there, if any."""
+    if not (isinstance(kind, type) and issubclass(kind, msgspec.Struct)):
+        return ""
+    name = next(iter(value), None) if isinstance(value, Mapping) else value
+    required = [field.encode_name for field in _fields(kind) if field.required]
+    # One that is a key of such an entry itself is no name.
+    if not required or not isinstance(name, str) or name in kind.__struct_fields__ or holds_key(name):
+        name = "..."
+    values = [name, *["..."] * len(required)]
+    return Hint.ENTRY(entry="{" + ", ".join(map("{}: {}".format, required, values)) + "}")
 
 
 def _entry(value: object, kind: Any, problems: list[Problem], location: str) -> Any:

@@ -18,6 +18,8 @@ from rsb_bridge.model.topic_keys import ForeignKey
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+_EXACT = 1e15
+"""Whole numbers below it are floats exactly, and are written with all their digits."""
 LISTS: Final[dict[Kind, str]] = {
     "topic": "topics", "service": "services", "action": "actions", "parameters": "parameters",
 }  # fmt: skip
@@ -214,6 +216,19 @@ def as_written(value: msgspec.Struct) -> msgspec.Struct:
     if isinstance(value, Session):
         given["clients"] = None if value.clients is None else tuple(map(as_written, value.clients))
     return model(**given | {name: key.of(value) for name, key in _KEYS_OF[type(value)].items()})
+
+
+def as_plain(written: Any) -> Any:
+    """Return what a file says as plain data, in which whole numbers are written as such: ``5``, not ``5.0``."""
+    return _whole(msgspec.to_builtins(written))
+
+
+def _whole(value: Any) -> Any:
+    if isinstance(value, float) and value.is_integer() and abs(value) < _EXACT:
+        return int(value)
+    if isinstance(value, dict):
+        return {key: _whole(each) for key, each in value.items()}
+    return [_whole(each) for each in value] if isinstance(value, list | tuple) else value
 
 
 # --- sessions

@@ -16,7 +16,7 @@ import msgspec
 import yaml
 from msgspec.structs import fields
 
-from rsb_bridge.config.file_form import as_written
+from rsb_bridge.config.file_form import as_plain, as_written
 from rsb_bridge.config.yaml_text import inline
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import ArmedName, Grant
@@ -98,7 +98,7 @@ class _Merger:
             at = key.start_mark.index
             if self._text[self._line_start(at) : at].rstrip().endswith("?"):
                 raise LayoutError
-        plain = msgspec.to_builtins(new)
+        plain = as_plain(new)
         changes: dict[str, Any] = {}
         for name in new.__struct_fields__:
             before, after = getattr(old, name), getattr(new, name)
@@ -122,14 +122,14 @@ class _Merger:
                 matched = _matched(before, after)
                 for at, to in matched.items():
                     self.struct(node.value[at], before[at], after[to])
-                added = [msgspec.to_builtins(each) for to, each in enumerate(after) if to not in matched.values()]
+                added = [as_plain(each) for to, each in enumerate(after) if to not in matched.values()]
                 self._sequence(key, node, set(range(len(before))) - matched.keys(), added)
                 return True
             # Words keep their layout as long as some go and others come last; any other change writes all of them.
             kept = [each for each in before if each in after]
             if tuple(kept) == after[: len(kept)] and len(node.value) == len(before):
                 gone = {at for at, each in enumerate(before) if each not in after}
-                self._sequence(key, node, gone, msgspec.to_builtins(after[len(kept) :]))
+                self._sequence(key, node, gone, as_plain(after[len(kept) :]))
                 return True
         if isinstance(node, yaml.MappingNode) and isinstance(after, dict):
             changes = {key: value for key, value in after.items() if before.get(key, _GONE) != value}

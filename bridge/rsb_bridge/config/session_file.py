@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from rsb_bridge.config.decoding import join
-from rsb_bridge.config.file_form import as_written, locations
+from rsb_bridge.config.file_form import as_plain, as_written, locations
 from rsb_bridge.config.files import replace_file, stat_of, why_not_written
 from rsb_bridge.config.folder_owner import acting_in_folder
 from rsb_bridge.config.imports.other_bridges import origin_of
@@ -138,7 +138,7 @@ def dump(session: Session, notes: Iterable[str] = ()) -> str:
         notes: comments at its head, one line each.
     """
     head = "".join(f"# {one_line(note)}\n" for note in notes)
-    return head + dump_yaml(msgspec.to_builtins(as_written(session)))
+    return head + dump_yaml(as_plain(as_written(session)))
 
 
 def same(one: Session, other: Session) -> bool:

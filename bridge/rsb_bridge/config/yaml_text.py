@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 import stat
 from dataclasses import replace
@@ -24,6 +25,8 @@ MAX_FILE = 1 << 20  # bytes; a thousand topics are a tenth of it
 MAX_DEPTH = 20
 """Nodes in one another; a session has fewer than ten. PyYAML, and what reads its nodes, calls itself for each."""
 
+# Of PyYAML's errors.
+_COLON_TOO_MUCH = "mapping values are not allowed here"
 _MAPPING = "tag:yaml.org,2002:map"
 _SEQUENCE = "tag:yaml.org,2002:seq"
 # Scalars as YAML 1.2 has them (core schema, section 10.3.2): in 1.1 a MAC of digits is a number and `no` is false.
@@ -42,6 +45,9 @@ class YamlMistake(Wording):
 
     CHARACTER = "character U+{code:04X} is not allowed"
     TAB = "begins with a tab: use spaces"
+    NO_COLON = "no colon and space after the key: write {key}: and its value"
+    NOT_CLOSED = "the {begin} here has no {end}, or a comma or colon is missing before line {line}"
+    QUOTE_NOT_CLOSED = "the quote that begins here does not end"
     ALIAS = "aliases (*) are not allowed: write the value out"
     TOO_DEEP = "nested too deeply"
     TAG = "the tag {tag} is not allowed"
@@ -160,16 +166,59 @@ def compose(text: str) -> yaml.Node | None:
         line = text.count("\n", 0, error.position) + 1
         raise YamlError(YamlMistake.CHARACTER(code=error.character), line) from None
     except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
-        message = conceal(", ".join(part for part in (error.context, error.problem) if part))
-        marked = text.split("\n")[mark.line : mark.line + 1] if mark else []  # none at the end of the text
-        if any("\t" in each[: len(each) - len(each.lstrip())] for each in marked):
-            message = YamlMistake.TAB()
-        raise YamlError(message, mark.line + 1 if mark else None) from None
+        raise _mistake(error, text) from None
     finally:
         if loader is not None:
             loader.dispose()
     return node
+
+
+def _mistake(error: yaml.MarkedYAMLError, whole: str) -> YamlError:
+    """Return the error with the line that has to be changed: PyYAML marks where it has noticed."""
+    mark, began = error.problem_mark or error.context_mark, error.context_mark
+    if mark is None:
+        return YamlError(conceal(error.problem or ""), None)
+    lines, at, context = whole.split("\n"), mark.line, error.context or ""
+    text = lines[at] if at < len(lines) else ""  # nothing at the end of the text
+    if "\t" in text[: len(text) - len(text.lstrip())]:
+        return YamlError(YamlMistake.TAB(), at + 1)
+    if error.problem == _COLON_TOO_MUCH:
+        # A line without a colon goes on with the next one.
+        before = next((line for line in range(at - 1, -1, -1) if lines[line].strip()), at)
+        if (key := _key_without_colon(lines[before])) and before != at:
+            return YamlError(YamlMistake.NO_COLON(key=key), before + 1)
+    elif began is not None and context.endswith("simple key") and (key := _key_without_colon(lines[began.line])):
+        return YamlError(YamlMistake.NO_COLON(key=key), began.line + 1)
+    elif began is not None and began.line < at and context.endswith("quoted scalar"):
+        return YamlError(YamlMistake.QUOTE_NOT_CLOSED(), began.line + 1)
+    elif context.startswith("while parsing a flow") and (opened := _open_bracket(whole, mark.index)) is not None:
+        begin = whole[opened.index]
+        if opened.line < at:
+            text = YamlMistake.NOT_CLOSED(begin=begin, end={"{": "}", "[": "]"}[begin], line=at + 1)
+            return YamlError(text, opened.line + 1)
+    return YamlError(conceal(", ".join(part for part in (context, error.problem) if part)), at + 1)
+
+
+def _open_bracket(text: str, index: int) -> yaml.Mark | None:
+    """Return where the innermost mapping or list in brackets begins that is open at a place of a text, or None."""
+    opened: list[yaml.Mark] = []
+    with contextlib.suppress(yaml.YAMLError):
+        for token in yaml.scan(text, Loader=yaml.SafeLoader):
+            if token.start_mark.index >= index:
+                break
+            if isinstance(token, yaml.FlowMappingStartToken | yaml.FlowSequenceStartToken):
+                opened.append(token.start_mark)
+            elif isinstance(token, yaml.FlowMappingEndToken | yaml.FlowSequenceEndToken):
+                opened.pop()
+    return opened[-1] if opened else None
+
+
+def _key_without_colon(line: str) -> str:
+    """Return the first word of a line that has no key, or an empty string."""
+    content = line.partition("#")[0].strip().removeprefix("- ").strip()
+    if not content or ": " in content or content.endswith(":") or content[0] in "[{'\"-":
+        return ""
+    return conceal(content.split()[0].partition(":")[0])
 
 
 def _plain(node: yaml.Node, location: str, document: Document) -> Any:

@@ -120,6 +120,7 @@ class Bridge:
         self.role: BridgeRole = ServerRole(context, keys) if is_server else ClientRole(context, keys)
         self._names = NameWatch(context, self._followers)
         context.names_changed = self._names.changed
+        context.is_unsaved = lambda: self.role.unsaved
         self.graph_watch = GraphWatch(context, self.role.links, self._names.changed)
         self.log = CommandLog(context.events)
         self._tasks = Tasks(context.loop, lambda: None)

@@ -26,7 +26,7 @@ from rsb_bridge.route.sender import Sender
 from rsb_bridge.tasks import in_slices
 from rsb_bridge.telemetry.meters import ClockOffset, Smoothed
 from rsb_bridge.wire.codec import ReportParts, report_entries
-from rsb_bridge.wire.messages import Neighbours, Report
+from rsb_bridge.wire.messages import Neighbours, Report, Unsaved
 from rsb_bridge.wire.records import CallsReport, ReceivedReport, SentReport
 
 if TYPE_CHECKING:
@@ -99,6 +99,34 @@ class Neighbourhood(Extension):
 
     def disconnected(self) -> None:
         self._link.bridges = self._told = ()
+
+
+class UnsavedChanges(Extension):
+    """Changes of a session by the other side's operators that its file lacks: each side tells the other of its own.
+
+    Attributes:
+        there: whether the other side's file lacks a change that was made here.
+    """
+
+    def __init__(self, link: Link) -> None:
+        self.messages = {Unsaved: self._receive}
+        self._link = link
+        self.there = self._told = False
+
+    def tick(self) -> None:
+        link = self._link
+        if not (link.linked and link.table.changed_by_peer):
+            return
+        if (unsaved := link.context.is_unsaved()) is not self._told:
+            self._told = unsaved
+            link.send(Unsaved(unsaved))
+        link.table.changed_by_peer = unsaved
+
+    def disconnected(self) -> None:
+        self.there = self._told = False
+
+    def _receive(self, message: Unsaved) -> None:
+        self.there = message.unsaved
 
 
 def _report(routes: Iterable[Route]) -> Report | None:
@@ -208,6 +236,7 @@ class Link(BaseLink):
         self.report_soon = self.extend(RouteReports(self)).add
         self.table = self.extend(RouteTable(self))
         self.proposed = self.extend(ProposedTopics(self, self.table))
+        self.unsaved = self.extend(UnsavedChanges(self))
         self.patterns = self.extend(LinkPatterns(self, self.table, self.proposed))
         self.topic_lists = self.extend(TopicLists(self))
         self.type_questions = self.extend(TypeQuestions(self))
@@ -313,6 +342,7 @@ class Link(BaseLink):
             ways=self.subflows.ways or self.way_snapshots(),
             full_out=self.fullness.out,
             full_in=self.fullness.into,
+            unsaved_there=self.unsaved.there,
             patterns=tuple(self.patterns.snapshots()),
             features=self.extensions.link_fields(),
         )

@@ -238,4 +238,5 @@ class ProposedTopics(Extension):
         if use != use_of(route.proposal, is_client=link.is_client):
             check_use(use, link)
         new = self.replace(route, entry)
+        self._table.changed_by_peer = True
         self._table.peer_operators.edited(new, message.who, before)

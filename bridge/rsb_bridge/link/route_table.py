@@ -69,6 +69,7 @@ class RouteTable(Extension):
         listed: identities of the topics that this side proposes; named ones stay even if the other side removes them.
         on_removed: is called with a route that an operator of the other side has removed.
         on_given_up: is called after the other side has given up a route.
+        changed_by_peer: whether operators of the other side have changed this session, and its file may lack that.
         peer_operators: records what operators of the other side do.
     """
 
@@ -77,6 +78,7 @@ class RouteTable(Extension):
         self.listed: set[Identity] = set()
         self.on_removed: Callable[[Route], None] = lambda _: None
         self.on_given_up: Callable[[], None] = lambda: None
+        self.changed_by_peer = False
         self._context = link.context
         self._link = link
         self._down_reason = ""
@@ -387,6 +389,7 @@ class RouteTable(Extension):
             case wire.Pause():
                 # It outlives openings: the end of one, by its data connection, may have come before it.
                 if (route := self._link.ids.find(message.route)) is not None:
+                    self.changed_by_peer |= route.listed or bool(route.pattern)
                     self._take_pause(route, paused=message.paused, revision=message.revision, who=message.who)
                     if route.pausing.paused and route.id:
                         self.arming.disarm(route, Disarmed.PAUSED)
@@ -498,6 +501,7 @@ class RouteTable(Extension):
             return
         # A newer opening, of which the peer hears later, would bring it back.
         tell = EndCode.REMOVED if route.id != message.route else None
+        self.changed_by_peer |= route.listed or bool(route.pattern)
         self._forget(route, EventCode.ROUTE_REMOVED, f"removed by the other side: {message.reason}", tell=tell)
         if message.who:
             self.peer_operators.removed(route, message.who)

@@ -164,6 +164,14 @@ def expand_type_name(name: str) -> str:
     return name
 
 
+_BRIDGE = re.compile(r"/_rsb_\w+_[0-9a-f]{8}")
+
+
+def is_bridge(node: str) -> bool:
+    """Whether a node's full name is a bridge's, which announces itself, on a busy machine some time later."""
+    return _BRIDGE.fullmatch(node) is not None
+
+
 Via: TypeAlias = tuple[str, ...]
 """Hops in the order of the way, or empty for the messages of a publisher that is no bridge."""
 

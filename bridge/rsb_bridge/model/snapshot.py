@@ -357,6 +357,7 @@ class LinkSnapshot:
     """S since the epoch, when what waits for it is dropped unless it is back; None while it is up, or nothing waits."""
     via: str = ""  # this machine's network device that carries it, or empty if it is unknown
     ways: tuple[WaySnapshot, ...] = ()  # if there are several; of a client's addresses the preferred one first
+    unsaved_there: bool = False  # whether the other side's file lacks a change that was made here
     warning_since: float | None = None
     """s since the epoch, when `warning` or its cause began, or None without a warning."""
     acknowledged: Acknowledgement | None = None

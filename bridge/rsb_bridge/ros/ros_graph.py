@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import difflib
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
 
 from rsb_bridge.model.calls import LANES
 from rsb_bridge.model.names import OF_EVERY_NODE
@@ -35,6 +35,8 @@ _MOST_NAMES = 2000
 """Names that a search compares. A round figure: other programs may put any number into the graph."""
 _COMPARED_AT_ONCE = 50
 """Names, in half a millisecond."""
+_PLAIN = "std_msgs/"
+"""The package of types that tell nothing of what a topic is."""
 CALLED: tuple[Kind, ...] = tuple(kind for kind, lanes in LANES.items() if lanes)
 WHOLES: tuple[Kind, ...] = tuple(kind for kind in CALLED if len(LANES[kind]) > 1)
 """Kinds that consist of several services."""
@@ -90,11 +92,53 @@ class Searches(Generic[Asked]):
         raise NotImplementedError
 
 
-class SimilarTopics(Searches[str]):
-    """Finds published topics of a similar name, for names that may be mistyped."""
+class Sought(NamedTuple):
+    """A topic that nobody publishes.
 
-    async def _answer(self, asked: str) -> str:
-        return await most_similar(asked, self._ros.topics().keys() - {asked, *OF_EVERY_NODE}, self._ros.publishers)
+    Attributes:
+        type_name: that it has or should have, or empty if unknown.
+        nodes: that have published it, or none.
+    """
+
+    topic: str
+    type_name: str = ""
+    nodes: frozenset[str] = frozenset()
+
+
+class SimilarTopics(Searches[Sought]):
+    """Finds a published topic that may be meant: of a similar name, in another namespace, or of the same type.
+
+    If the nodes are known that have published the sought one, only what these publish is found.
+    """
+
+    async def _answer(self, asked: Sought) -> str:
+        topics = self._ros.topics()
+        names = sorted(topics.keys() - {asked.topic, *OF_EVERY_NODE})[:_MOST_NAMES]
+
+        def ends(name: str) -> list[Endpoint]:
+            return [each for each in self._ros.publishers(name) if not asked.nodes or each.node in asked.nodes]
+
+        if similar := await most_similar(asked.topic, names, ends):
+            return similar
+        elsewhere = [name for name in names if _is_within(asked.topic, name)]
+        same_type = [name for name in names if asked.type_name in topics[name] and not is_hidden(name)]
+        if not asked.nodes and asked.type_name.startswith(_PLAIN):
+            same_type = []
+        for close in (elsewhere, same_type):
+            # Of several, nobody knows which.
+            if len(close) <= _COMPARED_AT_ONCE and len(published := [name for name in close if ends(name)]) == 1:
+                return published[0]
+        return ""
+
+
+def _is_within(name: str, other: str) -> bool:
+    """Whether one is the other in a namespace: ``/scan`` and ``/robot1/scan``."""
+    return name.endswith(other) or other.endswith(name)
+
+
+def are_alike(name: str, other: str) -> bool:
+    """Whether one name may be written in place of the other."""
+    return _is_within(name, other) or bool(difflib.get_close_matches(name, [other], cutoff=_ALIKE))
 
 
 async def most_similar(name: str, names: Iterable[str], ends: Callable[[str], Sequence[Endpoint]]) -> str:

@@ -143,10 +143,10 @@ def stages_with_link(half: Facts, before: Sequence[Stage], after: Sequence[Stage
 
 
 def first_missing(stages: Iterable[Stage]) -> str:
-    """Return the stage that has to pass before anything can cross; failed ones come before undecided ones."""
+    """Return in words what has to pass before anything can cross; failed stages come before undecided ones."""
     missing = [each for each in stages if not each.done]
     first = next((each for each in missing if each.done is False), None) or next(iter(missing), None)
-    return (first.detail or first.name) if first else ""
+    return (first.detail or f"not yet: {first.name}") if first else ""
 
 
 def _refused(half: Facts) -> Verdict | None:

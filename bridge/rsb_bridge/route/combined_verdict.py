@@ -53,6 +53,7 @@ _MENDABLE: dict[str, Level] = {
     Cause.NO_PUBLISHER: Level.INFO,
     Cause.NO_SERVER: Level.INFO,
     Cause.SIMILAR_NAME: Level.WARNING,
+    Cause.PUBLISHED_THERE: Level.WARNING,
     Cause.TYPE_UNKNOWN: Level.WARNING,
 }
 """What a route may wait for that a person can mend: a name or a type that is typed wrong, a type to install."""

@@ -225,9 +225,9 @@ def _why(late: Late) -> str:
 
 
 def seconds_text(seconds: float) -> str:
-    """Format a delay: ``0.003 s``, ``1.4 s``, ``12 s``, ``3 min``."""
+    """Format a delay: ``3 ms``, ``1.4 s``, ``12 s``, ``3 min``."""
     if seconds < 0.1:
-        return f"{max(0.0, seconds):.3f} s"
+        return f"{seconds * 1e3:.0f} ms" if seconds >= 1e-3 else "under 1 ms"
     if seconds < 9.95:
         return f"{seconds:.1f} s"
     return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} min"

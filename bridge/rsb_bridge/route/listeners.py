@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.cdr.known_types import CLOCK
 from rsb_bridge.model.audience import Audience, Deaf
+from rsb_bridge.model.motion import may_move
+from rsb_bridge.model.names import is_bridge
 from rsb_bridge.model.qos import clashes, match_subscriptions
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.verdict import Cause
@@ -31,12 +33,26 @@ _MATCHED_WITHIN = 2.0
 """s. A round figure: DDS matches a subscription that it lists within milliseconds."""
 _REASON_LENGTH = 200
 """Characters for which a node is deaf: a report to the other side has room for hundreds of routes."""
+OF_MANY = frozenset(
+    {
+        "action_msgs/msg/GoalStatusArray",
+        "bond/msg/Status",
+        "diagnostic_msgs/msg/DiagnosticArray",
+        "rcl_interfaces/msg/Log",
+        "rcl_interfaces/msg/ParameterEvent",
+        "sensor_msgs/msg/JointState",
+        "tf2_msgs/msg/TFMessage",
+        "visualization_msgs/msg/Marker",
+        "visualization_msgs/msg/MarkerArray",
+    }
+)
+"""Types of topics that many nodes publish by design."""
 
 
 class DeafText(Wording):
     """Reasons why DDS does not match a subscription with a publisher."""
 
-    TYPE = "its type is {asked}, not {offered}: correct it"
+    TYPE = "its type is {asked}, and that of the messages {offered}: make them equal"
     QOS = "it asks for {asked}, offered is {offered}: change its QoS"
     UNMATCHED = "DDS does not match it: check its other policies, partition and security"
 
@@ -107,6 +123,9 @@ class Listeners:
         others: other publishers of the topic here, if a subscription does not match.
         clocks: if it is a clock, the nodes and links that publish it here besides this link.
         further: if its messages may move a robot, the publishers of the topic here besides this link's.
+        published_by: nodes that publish it here, while the sending side has no publisher: its direction may be wrong.
+            Empty for what several nodes publish by design.
+        type_before: that the publishers had before the present one, or empty.
         hint: the type and its hash that they have, each empty if unknown: a sender without publishers takes it.
     """
 
@@ -118,6 +137,8 @@ class Listeners:
         self.clocks: frozenset[str] = frozenset()
         self.further: tuple[Endpoint, ...] = ()
         self.hint = ("", "")
+        self.type_before = ""
+        self.published_by: tuple[str, ...] = ()
         self._unmatched_since: float | None = None  # s, since when DDS lists subscriptions and matches none
         self._asked_at = float("-inf")
 
@@ -137,8 +158,19 @@ class Listeners:
     def look_without_publisher(self) -> None:
         """Find the type that the subscriptions have, while nothing is published here, and who else drives."""
         self.hint = type_hint(self._route.ends, self._route.remote_topic)
+        self.look_for_publishers(sends=False)
         if self._flow.drivers.are_watched or self.further:
             self._look_for_drivers()
+
+    def look_for_publishers(self, *, sends: bool) -> None:
+        """Find the nodes that publish it here, unless the sending side has a publisher."""
+        route, (type_name, _) = self._route, self.hint
+        moves = self._flow.drivers.are_watched or may_move(type_name, route.topic, route.remote_topic)
+        if sends or moves or type_name in OF_MANY or not route.purpose.in_graph:
+            self.published_by = ()
+        else:
+            found = route.ends.publishers(route.remote_topic)
+            self.published_by = node_names(each for each in found if not is_bridge(each.node))
 
     def look(self) -> None:
         """Find the subscriptions of what is published here, unless they are the same ones, most likely."""

@@ -143,6 +143,8 @@ class Receiver:
             self.outputs.close()  # a refused topic must not seem to have a publisher
             self._refuse_type(str(error))
             return
+        if self.carried.type_name not in ("", description.type):
+            self.listeners.type_before = self.carried.type_name
         self.flow.knows(*type_and_qos)
         self.listeners.offered = spec.qos
         self.route.settle_age()
@@ -238,6 +240,8 @@ class Receiver:
         if self.route.life.accepted and self.carried.channel is None:
             # While it is paused, too: the other side may not know yet, and frames without a channel hold up all others.
             self.route.peer.open_channel(self.route)
+        report = self.facts.report_now
+        self.listeners.look_for_publishers(sends=report is None or report.publishers > 0)
         self.listeners.look()
         self.lazy.tell()
 
@@ -258,6 +262,8 @@ class Receiver:
 
     def measure(self, now: float, crossing: Crossing, *, learns: bool) -> None:
         self.flow.latency.tick()
+        if self.facts.report_now is not None:
+            self.route.meter.publishers = self.facts.report_now.publishers
         if self.listeners.further:  # whether other links' messages may come changes without the graph
             self.flow.drivers.look(self.listeners.further)
         self._judge_lateness(now, flows=crossing.flows, learns=learns)
@@ -296,7 +302,8 @@ class Receiver:
         listeners = self.listeners
         audience, report = self.flow.audience, self.facts.report
         drivers = self.flow.drivers.here
-        return self.flow.silence.watch.after, report, audience, listeners.others, listeners.clocks, drivers
+        after, published_by = self.flow.silence.watch.after, listeners.published_by
+        return after, report, audience, listeners.others, listeners.clocks, drivers, published_by
 
     def next_change(self, now: float, crossing: Crossing) -> float:
         if self.facts.ledger.open:
@@ -381,6 +388,7 @@ class Receiver:
             jitter=self.flow.latency.jitter,
             verdict=record_of(self.route.verdict()),
             nodes=self.flow.audience.nodes,
+            publishers=self.listeners.published_by,
             deaf=tuple(DeafRecord(each.node, each.cause, each.reason) for each in self.flow.audience.deaf),
             came_before=self.facts.came_before,
             malformed=self.path.malformed,

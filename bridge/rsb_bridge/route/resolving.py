@@ -10,20 +10,21 @@ from typing import TYPE_CHECKING, NamedTuple
 import msgspec
 
 from rsb_bridge.cdr.description import TypeVersion
+from rsb_bridge.model.demands import full_type
 from rsb_bridge.model.names import expand_type_name
 from rsb_bridge.model.qos import match_publishers
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.verdict import Cause
-from rsb_bridge.route.combined_verdict import nodes_by
+from rsb_bridge.ros.ros_graph import Sought, are_alike
+from rsb_bridge.route.combined_verdict import named, nodes_by
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
-    from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.ros.ros_interface import Endpoint
     from rsb_bridge.route.loop_filter import LoopFilter
-    from rsb_bridge.wire.messages import Propose
+    from rsb_bridge.route.route import Route
 
 _MOST_NODES, _MOST_TYPES = 3, 4  # named of each type, and in one sentence
 
@@ -35,6 +36,18 @@ class Resolved(NamedTuple):
     type_hash: str
     qos: Qos
     warning: str  # the publishers that are left out, for an operator, or empty
+
+
+class Elsewhere(NamedTuple):
+    """Where a topic without a publisher is published instead.
+
+    Attributes:
+        cause: `Cause.SIMILAR_NAME` or `Cause.PUBLISHED_THERE`.
+        text: for an operator, with the remedy as a question.
+    """
+
+    cause: Cause
+    text: str
 
 
 class UnresolvedError(Exception):
@@ -53,14 +66,13 @@ class UnresolvedError(Exception):
 class Resolver:
     """Finds type and QoS of one route's messages. Asked again whenever the graph may have changed."""
 
-    def __init__(self, context: Context, proposal: Propose, changed: Callable[[], None]) -> None:
-        """Begin; `changed` is called once another topic seems to be meant."""
+    def __init__(self, route: Route) -> None:
+        self.published_there: tuple[str, ...] = ()  # nodes that publish the topic on the receiving side
         self.hint = TypeVersion()  # the type that the topic has on the receiving side
         self.publisher_qos: Qos | None = None  # that all publishers offer, or None without any
         self.unresolved: UnresolvedError | None = None  # the reason why type or QoS is unknown
-        self._context = context
-        self._proposal = proposal
-        self._changed = changed
+        self._route, self._context, self._proposal = route, route.context, route.proposal
+        self._used = TypeVersion()
         self._publishers: Sequence[Endpoint] = ()
         self._nodes: frozenset[str] = frozenset()  # of the last publishers
 
@@ -77,7 +89,7 @@ class Resolver:
         Args:
             used: the type that the route has sent so far.
         """
-        self.unresolved = None
+        self.unresolved, self._used = None, used
         try:
             resolved = self._resolve(used)
             if not loop_filter.table.to_describe():
@@ -112,25 +124,47 @@ class Resolver:
 
     def no_publisher(self) -> str:
         """Return a text that says that the topic has no publisher."""
-        return no_publisher(self._proposal.topic, self._context.domain, self.similar)
+        return no_publisher(self._proposal.topic, self._context.domain, self.elsewhere)
 
     @property
-    def similar(self) -> str:
-        """A published topic with a similar name, which may be meant, or empty.
+    def elsewhere(self) -> Elsewhere | None:
+        """Where the topic may be published instead, or None.
 
-        If this topic had publishers, it is one that a node of theirs publishes now.
+        If it had publishers, it is a topic that a node of theirs publishes now.
         """
         if self._publishers:
-            return ""  # without a search of the graph
-        similar = self._context.similar_topics.of(self._proposal.topic, self._changed)
-        if similar and self._nodes and self._nodes.isdisjoint(p.node for p in self._context.ros.publishers(similar)):
-            return ""
-        return similar
+            return None  # without a search of the graph
+        if self.published_there:
+            return self._on_other_side()
+        topic, context = self._proposal.topic, self._context
+        type_name = self._used.name or full_type(self._proposal.type) or self.hint.name
+        meant = context.similar_topics.of(Sought(topic, type_name, self._nodes), self._route.judge_again)
+        publishers = context.ros.publishers(meant) if meant else ()
+        if self._nodes:
+            publishers = [each for each in publishers if each.node in self._nodes]
+        if not publishers:
+            return None
+        if are_alike(topic, meant):
+            # The server writes a client's prefix itself.
+            prefixed = self._route.far_topic.endswith(topic) and topic.endswith(meant)
+            why = f" The server adds {topic.removesuffix(meant)}" if prefixed and self._route.far_topic != topic else ""
+            return Elsewhere(Cause.SIMILAR_NAME, f"did you mean {meant}?{why}")
+        nodes = {each.node for each in publishers}
+        verb = "publishes" if len(nodes) == 1 else "publish"
+        return Elsewhere(Cause.SIMILAR_NAME, f"{named(nodes)} {verb} {meant}, the same type")
+
+    def _on_other_side(self) -> Elsewhere:
+        """Say that the direction may be wrong: in the entry that lists the topic, on whichever side it is."""
+        route, nodes = self._route, self.published_there
+        where = "the server" if route.peer.is_client else route.peer.name
+        verb = "publishes" if len(nodes) == 1 else "publish"
+        direction = "transmit" if route.spec.direction == "receive" else "receive"
+        return Elsewhere(Cause.PUBLISHED_THERE, f"{named(nodes)} {verb} it on {where}: direction: {direction}?")
 
 
-def no_publisher(topic: str, domain: str, similar: str = "", *, gone: bool = False) -> str:
+def no_publisher(topic: str, domain: str, elsewhere: Elsewhere | None = None, *, gone: bool = False) -> str:
     """Says that nobody publishes a topic, or no longer, in this side's domain (`Context.domain`)."""
-    hint = f"; did you mean {similar}?" if similar else ""
+    hint = "" if elsewhere is None else f"; {elsewhere.text}"
     return f"no publisher of {topic} in domain {domain}{' any more' if gone else ''}{hint}"
 
 
@@ -159,6 +193,8 @@ def choose_type(
     """
     types = nodes_by(publishers, lambda publisher: publisher.type_name)
     if wanted and types and wanted not in types:
+        if used.name == wanted:
+            raise _clash(f"publishers send {_named(types)} now, and no longer {wanted}: correct them, or the type")
         raise _clash(f"publishers send {_named(types)}, not {wanted}: correct the type")
     name = wanted or (used.name if used.name in types else next(iter(types), hint.name))
     if not wanted and len(types) > 1 and name != used.name:

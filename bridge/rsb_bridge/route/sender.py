@@ -82,7 +82,7 @@ class Sender:
         self._unwanted = True  # since the last subscription, messages were not to cross for a while
         self.lazy = LazySender(route, self.flow)
         self._renewal = Renewal(route, self.subscription)
-        self.resolver = Resolver(route.context, route.proposal, route.judge_again)
+        self.resolver = Resolver(route)
         self.health = Health()
         self.delays = SendersDelay()
         self.facts = SenderFacts(self.flow, self.path, self.subscription, self.resolver, self.health)
@@ -303,6 +303,7 @@ class Sender:
 
     def measure(self, now: float, crossing: Crossing, *, learns: bool) -> None:
         flows, ledger = crossing.flows, self.facts.ledger
+        self.route.meter.publishers = sum([each.type_name == self.carried.type_name for each in self.carried.endpoints])
         awaited = self.subscription.receives if flows else self.facts.lacks_publisher(crossing)
         # A latched topic may be silent for any time, unless an operator expects a rate.
         usual = None if self.flow.is_latched else self.route.meter.usual_rate
@@ -393,6 +394,7 @@ class Sender:
             text = f"malformed {whose}: {report.malformed}: see the node here that sent it"
             self.route.notices.message_error(EventCode.ROUTE_MALFORMED, text)
         self.facts.report = report
+        self.resolver.published_there = report.publishers
         self.flow.drivers.told(report.drivers)
         self.route.wake()
         deaf = tuple(Deaf(each.node, each.cause, each.reason) for each in report.deaf)

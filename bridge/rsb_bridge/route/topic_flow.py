@@ -39,6 +39,7 @@ _EXPLAINS = frozenset(
         Cause.TYPE_UNKNOWN,
         Cause.NO_PUBLISHER,
         Cause.SIMILAR_NAME,
+        Cause.PUBLISHED_THERE,
         Cause.PUBLISHER_GONE,
         Cause.TOO_LARGE,
         Cause.NOT_PUBLISHED,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from rsb_bridge.model.names import is_bridge
 from rsb_bridge.model.qos import clashes
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import join_first
@@ -14,7 +15,7 @@ from rsb_bridge.route.combined_verdict import NAMED, named
 from rsb_bridge.route.crossing import Crossing
 from rsb_bridge.route.lateness import late_verdict
 from rsb_bridge.route.ledger import LOSS_CAUSES, LOSSES
-from rsb_bridge.route.listeners import mismatch, no_subscriber
+from rsb_bridge.route.listeners import OF_MANY, mismatch, no_subscriber
 from rsb_bridge.route.resolving import no_publisher
 from rsb_bridge.route.sending import USE_TCP, remedy_for_size
 from rsb_bridge.telemetry.watches import FAST_ABOVE, LATELY
@@ -71,6 +72,17 @@ def _several(half: TopicFacts, _: Crossing) -> Verdict | None:
     if not (drivers.here or drivers.there) or not (several := drivers.several):
         return None
     text = f"{driver_names(several)} publish it: a robot follows all; stop all but one"
+    return Verdict(State.OK, Cause.SEVERAL_PUBLISHERS, text)
+
+
+def _shared(half: SenderFacts, _: Crossing) -> Verdict | None:
+    if not half.route.meter.regular or half.carried.type_name in OF_MANY or half.flow.drivers.are_watched:
+        return None
+    type_name = half.carried.type_name
+    own = [each for each in half.carried.endpoints if each.type_name == type_name and not is_bridge(each.node)]
+    if len(own) < 2:
+        return None
+    text = f"{_plural(own, 'publishes', 'publish')} it: subscribers get all; stop those that are not meant"
     return Verdict(State.OK, Cause.SEVERAL_PUBLISHERS, text)
 
 
@@ -206,11 +218,12 @@ def _why_silent(half: SenderFacts) -> tuple[Cause, str]:
 
 
 def _nobody(half: SenderFacts) -> Cause:
-    return Cause.SIMILAR_NAME if half.resolver.similar else Cause.NO_PUBLISHER
+    elsewhere = half.resolver.elsewhere
+    return Cause.NO_PUBLISHER if elsewhere is None else elsewhere.cause
 
 
 def _no_publisher(half: SenderFacts, *, gone: bool = False) -> str:
-    return no_publisher(half.route.local_topic, half.route.context.domain, half.resolver.similar, gone=gone)
+    return no_publisher(half.route.local_topic, half.route.context.domain, half.resolver.elsewhere, gone=gone)
 
 
 def _slow(half: SenderFacts, _: Crossing) -> Verdict | None:
@@ -263,7 +276,7 @@ def _unsent(half: SenderFacts, crossing: Crossing) -> Verdict | None:
 
 
 def _no_message(missing: str = "") -> Verdict:
-    return Verdict(State.WAITING, Cause.NO_MESSAGE, f"waiting: {missing}" if missing else "no message yet")
+    return Verdict(State.WAITING, Cause.NO_MESSAGE, missing or "no message yet")
 
 
 # --- the receiving side
@@ -284,11 +297,11 @@ def _unreceived(half: ReceiverFacts, crossing: Crossing) -> Verdict | None:
 
 
 def waits_for(half: ReceiverFacts) -> str:
-    """Return the stage that has to pass before anything can cross, or its reason."""
+    """Return in words what has to pass before anything can cross."""
     stages = half.stages()
     if half.report_now is None and all(each.done is not False for each in stages):
         # Only the sending side knows the first stages, and has not reported on this opening yet.
-        return "the other side's report" if half.route.life.accepted else ACCEPTED
+        return "not yet: the other side's report" if half.route.life.accepted else f"not yet: {ACCEPTED}"
     return first_missing(stages)
 
 
@@ -300,6 +313,8 @@ def _subscribers(half: ReceiverFacts, crossing: Crossing) -> Verdict | None:
         each: why for each in half.carried.endpoints if (why := mismatch(half.carried.type_name, qos, each)) is not None
     }
     if others := [each for each, why in deaf.items() if why.cause is Cause.TYPE_CONFLICT]:
+        if all(each.type_name == half.listeners.type_before for each in others):
+            return Verdict(State.UNHEARD, Cause.TYPE_CONFLICT, _changed_type(half, others))
         carries = f"{half.route.local_topic} carries {half.carried.type_name}"
         text = f"{types_and_nodes(others)}, but {carries}: correct the subscription"
         return Verdict(State.UNHEARD, Cause.TYPE_CONFLICT, text)
@@ -322,6 +337,14 @@ def _subscribers(half: ReceiverFacts, crossing: Crossing) -> Verdict | None:
             State.UNHEARD, Cause.NO_SUBSCRIBER, no_subscriber(half.route.local_topic, half.route.context.domain)
         )
     return None
+
+
+def _changed_type(half: ReceiverFacts, others: Collection[Endpoint]) -> str:
+    """Say that the publishers have another type than before, and who still has that one."""
+    now, (nodes, _, _) = half.carried.type_name, half.ends()
+    verb = "publishes" if len(nodes) == 1 else "publish"
+    changed = f"{named(nodes)} {verb} {now} now" if nodes else f"it is published as {now} now"
+    return f"{changed}, {types_and_nodes(others)} as before: correct the publisher"
 
 
 def _clocks(half: ReceiverFacts, _: Crossing) -> Verdict | None:
@@ -372,6 +395,7 @@ OF_SENDER: Rules[SenderFacts] = (
     _slow,
     _catching_up,
     _several,
+    _shared,
     _unsent,
 )
 OF_RECEIVER: Rules[ReceiverFacts] = (_nothing_comes, _expired, _late, _clocks, _subscribers, _several, _unreceived)

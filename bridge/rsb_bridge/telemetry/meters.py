@@ -21,6 +21,7 @@ _RHYTHM_SAMPLES, _RHYTHM_STEADY = 5, 0.1  # that show a rhythm, as an operator's
 _STEADY = 0.15  # of the rate over so long: the standard deviation that it may have; watches call less than 0.7 slow
 _CHANGED = 0.15  # share of the rate beyond which a change is no noise: no more than `_STEADY` allows
 _LOWER_FOR = 600.0  # s that a lower rate lasts until it is the usual one
+_MOST_NUMBERS = 16  # of publishers, of which the rates are remembered: a round figure
 _LONGEST_GAP = 60.0  # s; a topic with longer ones has no usual rate: to learn it would take a quarter of an hour
 _QUIET_PERIODS, _QUIET = 5.0, 3.0  # periods, and s, without a message after which an outage has begun
 
@@ -67,12 +68,13 @@ class RateMeter:
         rate: Hz, over the shortest of 3, 10 and 30 s that holds at least three messages, and never above one message in
             the seconds since the last one.
         usual_rate: Hz (`UsualRate`), or None if it is unknown yet or messages have none.
+        publishers: number of publishers that the usual rate is learned of.
         history: messages in each of the last seconds, oldest first.
     """
 
     __slots__ = (
         "_at_tick", "_bytes_at_tick", "_marks", "_quiet", "_smoothed", "_ticked", "_usual", "bytes", "count", "history",
-        "last", "rate",
+        "last", "publishers", "rate",
     )  # fmt: skip
 
     def __init__(self, now: float) -> None:
@@ -80,6 +82,7 @@ class RateMeter:
         self.bytes = 0
         self.last: float | None = None
         self.rate = 0.0
+        self.publishers = 1
         self.history: deque[int] = deque(maxlen=HISTORY)
         self._ticked = now
         self._at_tick = 0
@@ -120,6 +123,8 @@ class RateMeter:
         if elapsed < _SHORTEST_TICK:
             return
         messages, self._at_tick = self.count - self._at_tick, self.count
+        if messages:
+            self._usual.published_by(self.publishers)
         if learns:
             self._usual.add(messages, self.last, now)
         else:
@@ -398,14 +403,17 @@ class UsualRate:
     the samples yields the coefficient of variation of a single gap, and that tells how steady the rate is over the time
     that it is judged by. Messages that come at random or in bursts have no usual rate: their silence means nothing.
 
-    A higher rate is learned within seconds. A lower one counts as slow first, and is learned after ten minutes.
+    A higher rate is learned within seconds. A lower one counts as slow first, and is learned after ten minutes. Each
+    number of publishers has its own usual rate.
 
     Attributes:
         rate: Hz, or None if it is unknown yet or messages are not regular.
         regular: whether messages came at a rhythm, even if its rate is not known yet.
     """
 
-    __slots__ = ("_irregular", "_last", "_lower_for", "_samples", "_ticked", "rate", "regular")
+    __slots__ = (
+        "_irregular", "_known", "_last", "_lower_for", "_publishers", "_samples", "_ticked", "rate", "regular",
+    )  # fmt: skip
 
     def __init__(self) -> None:
         self.rate: float | None = None
@@ -415,6 +423,26 @@ class UsualRate:
         self._ticked = 0.0
         self._irregular = 0
         self._lower_for = 0.0
+        self._publishers = 0  # of the last messages
+        self._known: dict[int, float] = {}  # rates of other numbers of publishers
+
+    def published_by(self, publishers: int) -> None:
+        """Take how many publishers the topic has now that messages come; while none come, the rate stays.
+
+        The rate that fewer had is the least that more have, until theirs is learned.
+        """
+        before = self._publishers
+        if publishers in (before, 0):
+            return
+        self._publishers = publishers
+        if self.rate is not None:
+            if len(self._known) >= _MOST_NUMBERS:
+                self._known.clear()
+            self._known[before] = self.rate
+        self.rate = self._known.get(publishers, self.rate if publishers > before else None)
+        self._last = None
+        self._samples.clear()
+        self._irregular, self._lower_for = 0, 0.0
 
     def add(self, messages: int, last: float | None, now: float) -> None:
         """Take the messages since the last call.
@@ -435,7 +463,8 @@ class UsualRate:
             gaps, seconds = gaps - 1, seconds - quiet
         self._samples.append((gaps, seconds))
         self._learn(last - previous)
-        self.regular = self.rate is not None or self._regular_rate(_RHYTHM_SAMPLES, _RHYTHM_STEADY) is not None
+        if self.rate is not None or len(self._samples) >= _RHYTHM_SAMPLES:
+            self.regular = self.rate is not None or self._regular_rate(_RHYTHM_SAMPLES, _RHYTHM_STEADY) is not None
 
     def rested(self, until: float) -> None:
         """Take over that nothing came until `until` (s)."""

@@ -45,7 +45,8 @@ class ListenProblem(Wording):
 
     TAKEN = "{kind} {address} is taken by another process: stop it, or choose another port (ss -lntup shows whose)"
     NOT_OF_THIS_MACHINE = (
-        "{address} is not an address of this machine: use one that `ip addr` shows, or 0.0.0.0 for all"
+        "{address} is not an address of this machine: use one that `ip addr` shows, or 0.0.0.0 for all; if the server "
+        "is another machine, write role: client"
     )
     PRIVILEGED = "{kind} {address}: ports below {limit} need root or CAP_NET_BIND_SERVICE: use a higher one"
     NAME_UNKNOWN = (

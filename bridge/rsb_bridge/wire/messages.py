@@ -492,6 +492,12 @@ class Settled(ControlMessageBase, frozen=True):
     route: RouteId
 
 
+class Unsaved(ControlMessageBase, frozen=True):
+    """Whether the sender's file lacks a change that the receiver's operators have made to the sender's session."""
+
+    unsaved: bool
+
+
 LeaseMessage: TypeAlias = Lease | Settled
 UrgentMessage: TypeAlias = Lease | Disarm
 """The messages that may cross as datagrams besides. Each may come twice, late, or before those sent earlier."""
@@ -499,6 +505,7 @@ ControlMessage: TypeAlias = (
     Propose | Accept | Refuse | Describe | Ready | Publishers | Provide | ByHand | Neighbours | Close | Amend | Edit
     | EditAnswer | Limit | Pause | Arm | Armed | Disarm | AskForArming | AskEnded | Settled | Lease | Ping | Pong
     | Report | Receipts | ListTopics | TopicList | AskType | TypeText | Follow | Followed | Duplicate | Shutdown
+    | Unsaved
 )  # fmt: skip
 OF_CONNECTION = (
     Ping, Pong, Receipts, Lease, Duplicate, Shutdown, Report, ListTopics, TopicList, AskType, TypeText,

@@ -9,6 +9,7 @@ from rsb_console.command.remote_arguments import (
     KINDS,
     NO_BRIDGE,
     bridge_options,
+    inherit_bridge_options,
     route_arguments,
     route_command,
     subcommand,
@@ -55,6 +56,7 @@ def add_call_commands(command: AddCommand, complete: Complete) -> None:
     call.add_argument("--timeout", type=seconds, metavar="SECONDS", help=limit)
     summary = "read and set the parameters of a bridged node"
     parent = command("param", subcommand("call_command:list_parameters"), summary, _PARAM)
+    bridge_options(parent, complete)
     commands = parent.add_subparsers(metavar="COMMAND", required=True)
     words: tuple[str, ...]
     for name, function, summary, words in (
@@ -67,6 +69,7 @@ def add_call_commands(command: AddCommand, complete: Complete) -> None:
         parser = commands.add_parser(name, help=summary, description=f"{summary[0].upper()}{summary[1:]}.")
         parser.set_defaults(command=subcommand(f"call_command:{function}"))
         bridge_options(parser, complete)
+        inherit_bridge_options(parser)
         route_arguments(parser, complete, kinds=("parameters",), metavar="NODE")
         for word in words:
             argument = parser.add_argument(word, metavar=word.upper())

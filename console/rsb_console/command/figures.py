@@ -227,8 +227,8 @@ def _hz_lines(figures: Figures) -> Iterator[str]:
     if counts := figures.each_second:
         spread = f"min {min(counts)}, max {max(counts)}, std dev {statistics.pstdev(counts):.2f}"
         yield f"\tin each of the last {len(counts)} s: {spread}"
-    if route.expected_rate is not None:
-        yield f"\t{'expected' if route.spec.expected_rate else 'usual'}: {formats.expected(route.expected_rate)} Hz"
+    if named := formats.rate_by_name(route):
+        yield f"\t{named}"
     if figures.seconds >= _LEDGER_FROM:
         yield f"\ttaken from ROS by the sending bridge: {figures.offered / figures.seconds:.1f} Hz"
     yield from _state(route)

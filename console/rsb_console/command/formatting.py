@@ -278,6 +278,7 @@ def links_of(snapshot: Snapshot) -> dict[str, object]:
                 {"host": way.host, "device": way.device, "used": way.is_used, "ready": way.is_ready}
                 for way in link.ways
             ],
+            "unsaved_there": link.unsaved_there,
             "patterns": [pattern_of(pattern) for pattern in link.patterns],
             **msgspec.to_builtins(link.features),
         }

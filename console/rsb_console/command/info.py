@@ -170,8 +170,8 @@ def _rate(route: RouteSnapshot, figures: Figures | None, now: float) -> str:
     text = f"{formats.hertz(route.rate)} Hz {where}"
     if figures is not None and figures.crossing:
         text += f", {figures.crossing}"
-    if route.expected_rate is not None:
-        text += f", {'expected' if route.spec.expected_rate else 'usual'}: {formats.expected(route.expected_rate)} Hz"
+    if named := formats.rate_by_name(route):
+        text += f", {named}"
     return text if (age := route.age(now)) is None else f"{text}, the last message {formats.age(age)} ago"
 
 

@@ -117,6 +117,14 @@ def bridge_options(
         parser.add_argument("--json", action="store_true", help="print JSON, for programs")
 
 
+def inherit_bridge_options(parser: argparse.ArgumentParser) -> None:
+    """Let the options of a command's own command be given to the command, too: without them, its values count."""
+    for option in parser._actions:
+        if option.dest in ("bridge", "control", "way", "json"):
+            option.default = argparse.SUPPRESS
+            parser._defaults.pop(option.dest, None)
+
+
 def named_bridge_options(parser: argparse.ArgumentParser, complete: Complete, *, json: bool = True) -> None:
     """Add the same, and the bridge's name as a plain word, to a command that takes no other one."""
     alone = parser.add_argument(

@@ -30,6 +30,7 @@ from rsb_console.command.formatting import (
 )
 from rsb_console.command.shell import FAILURE, NOT_RUNNING, OK, print_line
 from rsb_console.command.target import attached
+from rsb_console.notation import formats
 from rsb_console.notation.link_fact import wrong_of
 
 if TYPE_CHECKING:
@@ -93,6 +94,11 @@ def _status_of_all(bridges: list[RunningBridge], arguments: Namespace) -> int:
     return max(codes)  # worse ones are higher: 0, 1 with a fault, 3 without an answer
 
 
+def _unsaved(now: Snapshot) -> str:
+    there = formats.unsaved_there(now)
+    return f"{', not saved' if now.unsaved else ''}{f', not saved on {there}' if there else ''}"
+
+
 def _status_of(engine: RemoteEngine) -> tuple[list[str], list[str], dict[str, object]]:
     """Return a bridge's faults, its status as lines, and the same as data."""
     now, bridge = engine.snapshot(), engine.bridge
@@ -107,7 +113,7 @@ def _status_of(engine: RemoteEngine) -> tuple[list[str], list[str], dict[str, ob
     file = f", {bridge.file}" if bridge.file else ""
     lines = [
         f"{engine.name}: {bridge.role}, {now.address}, domain {now.domain_id}, pid {bridge.pid}",
-        f"  since {clock(bridge.started)}{file}{', not saved' if now.unsaved else ''}",
+        f"  since {clock(bridge.started)}{file}{_unsaved(now)}",
         f"  {_in_short(now, faults, known, waits)}",
     ]
     for link in now.links:

@@ -8,7 +8,7 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, TypeAlias
 
-from rsb_bridge.model.names import expand_type_name
+from rsb_bridge.model.names import expand_type_name, other_side
 from rsb_bridge.model.qos import AUTO
 from rsb_bridge.model.snapshot import RouteSnapshot
 from rsb_bridge.model.text import join_first, plural
@@ -28,6 +28,8 @@ KIND_SHORT: dict[Kind, str] = {"topic": "msg", "service": "srv", "action": "act"
 """Kinds as they fit into a narrow column; the first three are ROS's own names for the types."""
 AGE_STEP = 0.1
 """s: the least difference that an age shows."""
+_LIMITED = 0.9
+"""Share of a limit from which on an expected rate is due to it: a throttled topic has a little less. A round figure."""
 _DAY = 86_400.0
 _DRIVERS_NAMED = 4  # in a question. A round figure
 _NODES_NAMED = 3  # nodes in a report; the others are counted. A round figure
@@ -65,6 +67,34 @@ def expected(rate: float) -> str:
     """Format an expected rate in Hz, without the unit: ``10``, ``0.5``, ``1000``."""
     # From 1000 on, .3g would give 1e+03.
     return f"{rate:.3g}" if rate < 1000 else f"{rate:.0f}"
+
+
+def unsaved_there(snapshot: Snapshot) -> str:
+    """Name the sides whose files lack a change that was made here, or return an empty string."""
+    names = [other_side(snapshot.role, link.name) for link in snapshot.links if link.unsaved_there]
+    return join_first(names, _NODES_NAMED)
+
+
+def limit(route: RouteSnapshot) -> float | None:
+    """Return the limit (Hz) that a topic's messages keep to, or None if fewer are expected anyway."""
+    rate, highest = route.expected_rate, route.max_rate
+    return None if highest is None or (rate is not None and rate < _LIMITED * highest) else highest
+
+
+def beside_rate(route: RouteSnapshot) -> str:
+    """Return the figure that a topic's rate is compared with: ``/10`` expected, ``≤1`` allowed, or nothing."""
+    if (highest := limit(route)) is not None:
+        return f"≤{expected(highest)}"
+    return "" if route.expected_rate is None else f"/{expected(route.expected_rate)}"
+
+
+def rate_by_name(route: RouteSnapshot) -> str:
+    """Return the same in words, such as ``usual: 10 Hz``, or nothing."""
+    if (highest := limit(route)) is not None:
+        return f"limit: {expected(highest)} Hz"
+    if route.expected_rate is None:
+        return ""
+    return f"{'expected' if route.spec.expected_rate else 'usual'}: {expected(route.expected_rate)} Hz"
 
 
 def milliseconds(seconds: float) -> str:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from rsb_bridge.model.commands import Effect, Save
 from rsb_bridge.model.wording import Wording
 from rsb_console.actions.action import FooterEntry
+from rsb_console.notation import formats
 from rsb_console.operations.bridge_operations import reload
 from rsb_console.screens.dialog import ConfirmScreen
 
@@ -20,6 +21,10 @@ class SaveQuestion(Wording):
     """Questions about saving, and what is not saved."""
 
     UNNAMED = "its session differs from its file"
+    ONLY_THERE = (
+        "nothing is unsaved here. The change that was made here is in the session of {name}: save it there, "
+        "with w in a console of its bridge or rsb-console save, or its restart loses it"
+    )
     SAVE_THERE = "Save the session of {name} to its file?"
     SAVES_THERE = "The bridge writes the file on its machine. Comments stay, and a backup is kept there."
 
@@ -42,9 +47,12 @@ def not_saved(console: Console) -> str:
 async def save(screen: MainScreen) -> None:
     """Save the session with the topics it has now."""
     console = screen.console
-    if console.path is not None:
+    now = console.snapshot()
+    if not now.unsaved and (there := formats.unsaved_there(now)):
+        console.notify(SaveQuestion.ONLY_THERE(name=there), severity="warning")
+    elif console.path is not None:
         await _save_to(screen, console.path)
-    elif console.snapshot().unsaved:
+    elif now.unsaved:
         await _save_there(console)
     else:
         await save_as(screen)
@@ -109,4 +117,5 @@ async def _save_to(screen: MainScreen, path: Path) -> bool:
 
 
 def save_in_footer(screen: MainScreen) -> FooterEntry | None:
-    return FooterEntry("save", keeps_place=True) if screen.console.snapshot().unsaved else None
+    now = screen.console.snapshot()
+    return FooterEntry("save", keeps_place=True) if now.unsaved or formats.unsaved_there(now) else None

@@ -80,7 +80,7 @@ class StatusBar(LiveLines):
             self._received.append(sum(link.rx_bytes_per_second for link in snapshot.links))
             self._sent.append(sum(link.tx_bytes_per_second for link in snapshot.links))
         self._identity, self._view = _identity(snapshot, view), _view(snapshot, view)
-        self._shown_narrow = 1 + snapshot.unsaved
+        self._shown_narrow = 1 + bool(_unsaved(snapshot))
         self._totals = self._sum(snapshot)
         self.sync()
 
@@ -222,8 +222,8 @@ def _view(snapshot: Snapshot, view: BarState) -> Line:
         pieces.append(("attached  ", "dim"))
     if view.session and view.session != snapshot.name:
         pieces.append((f"{view.session} · ", "dim"))
-    if snapshot.unsaved:
-        pieces.append(("● unsaved  ", "stale"))
+    if unsaved := _unsaved(snapshot):
+        pieces.append((f"● {unsaved}  ", "stale"))
     if view.late:
         pieces.append((f" {view.late} ", "alarm"))
     elif view.frozen_since is None:
@@ -231,6 +231,12 @@ def _view(snapshot: Snapshot, view: BarState) -> Line:
     else:
         pieces.append((f" VIEW FROZEN {formats.clock(snapshot.time - view.frozen_since)} ", "alarm"))
     return tuple(pieces)
+
+
+def _unsaved(snapshot: Snapshot) -> str:
+    if snapshot.unsaved:
+        return "unsaved"
+    return f"unsaved on {there}" if (there := formats.unsaved_there(snapshot)) else ""
 
 
 def _spread(left: Line, right: Line, width: int) -> Line:

@@ -404,7 +404,10 @@ def _plot(page: _Page, route: RouteSnapshot, title: str, unit: str) -> None:
     shown = route.history[-2 * cells :]
     usual = route.expected_rate if route.calls is None else None  # nobody expects calls
     top = 1.2 * max(usual or 0.0, *shown, 1.0) if shown else 1.0
+    highest = formats.limit(route) if route.calls is None else None
     expected = "" if usual is None else f" of {formats.expected(usual)}"
+    if highest is not None:
+        expected = f" of {formats.expected(highest)} allowed"
     page.add(
         (f" {title}", "head"),
         (f"  {formats.hertz(present_rate(route)) if carries(route) else '-'} {unit}{expected}", "strong"),

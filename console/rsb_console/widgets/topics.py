@@ -53,7 +53,7 @@ def _state(row: Row) -> str:
         return f"{ACK_WORD} {STATE_WORD[row.state]}"
     word = ARMED_WORD if is_armed(row) and row.state is State.OK else STATE_WORD[row.state]
     text = f"{_sign(row)} {word}"
-    if row.cause == Cause.SEVERAL_PUBLISHERS and not isinstance(row, PatternRow):
+    if row.cause == Cause.SEVERAL_PUBLISHERS and not isinstance(row, PatternRow) and row.drivers:
         text += f" ×{len(row.drivers)}"
     # DISARMING has no room for its sign.
     return text if len(text) <= _STATE_WIDTH else word
@@ -83,7 +83,7 @@ def _rate(route: RouteSnapshot) -> str:
     rate = formats.hertz(present_rate(route)) if carries(route) else "-"
     if route.calls is not None:
         return f"{rate} +{route.calls.in_flight}" if route.calls.in_flight else rate
-    return rate if route.expected_rate is None else f"{rate}/{formats.expected(route.expected_rate)}"
+    return f"{rate}{formats.beside_rate(route)}"
 
 
 def present_rate(route: RouteSnapshot) -> float:

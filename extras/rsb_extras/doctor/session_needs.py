@@ -31,6 +31,7 @@ from rsb_bridge.transport import multipath
 from rsb_bridge.transport.descriptors import first_open_port
 from rsb_bridge.transport.listening import EVERY_ADDRESS
 from rsb_bridge.transport.network_news import addresses
+from rsb_console.notation.formats import span
 from rsb_extras.doctor.machine import MachineText, bluetooth_adapters
 
 if TYPE_CHECKING:
@@ -75,7 +76,7 @@ class NeedText(Wording):
     WAYS = "streams may use further ways from {addresses}"
     SLOW_RETURN = "after a cut, the kernel may wait for {seconds:.0f} s until it uses the usual way again"
     SLOW_RETURN_REMEDY = "sudo sysctl -w net.ipv4.tcp_rto_max_ms=1000 (Linux 6.15 has it)"
-    CLOCKS_AGREE = "the clock of {peer} differs from this machine's by {seconds:.3f} s"
+    CLOCKS_AGREE = "the clock of {peer} differs from this machine's by {span}"
 
 
 def checks(
@@ -235,7 +236,7 @@ def _peers_clocks(running: Callable[[], Snapshot | None]) -> Iterator[Finding]:
         if warning := clocks_differ(peer, link.clock_offset, link.clock_uncertainty):
             yield finding(grade=Grade.WARNING, text=warning)
         else:
-            yield finding(grade=Grade.OK, text=NeedText.CLOCKS_AGREE(peer=peer, seconds=link.clock_offset))
+            yield finding(grade=Grade.OK, text=NeedText.CLOCKS_AGREE(peer=peer, span=span(abs(link.clock_offset))))
 
 
 def _ports(session: Session, path: Path, environ: Mapping[str, str]) -> Iterator[Finding]:
@@ -261,7 +262,11 @@ def _ports(session: Session, path: Path, environ: Mapping[str, str]) -> Iterator
             except OSError as error:
                 if error.errno == errno.EADDRNOTAVAIL:
                     text = f"this machine has no address {each}"
-                    yield finding(grade=Grade.ERROR, text=text, remedy="correct server_ip, or use 0.0.0.0")
+                    yield finding(
+                        grade=Grade.ERROR,
+                        text=text,
+                        remedy="correct server_ip, or use 0.0.0.0; role: client, if the server is another machine",
+                    )
                     return
                 if error.errno == errno.EACCES:
                     text = NeedText.PORT_PRIVILEGED(port=port, limit=first_open_port())

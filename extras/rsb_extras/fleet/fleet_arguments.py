@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from rsb_console.command.argument_values import count, seconds
 from rsb_console.command.command_parser import CommandParser
-from rsb_console.command.remote_arguments import bridge_options, console_options, subcommand
+from rsb_console.command.remote_arguments import bridge_options, console_options, inherit_bridge_options, subcommand
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -142,9 +142,7 @@ def _add_fleet_command(
     )
     parser.set_defaults(command=subcommand(f"rsb_extras.fleet.fleet_command:{function}"))
     bridge_options(parser, complete, which=_WHICH_SERVER, all_bridges=True)
-    for option in parser._actions:
-        if option.dest in ("bridge", "control", "way", "json"):
-            option.default = argparse.SUPPRESS  # `fleet` has them, too, and its values count
+    inherit_bridge_options(parser)
     in_group = parser.add_argument("--group", default="", metavar="GROUP", help="also all robots of this group")
     complete(in_group, "rsb_extras.fleet.fleet_names:groups")
     parser.add_argument("--all", dest="everyone", action="store_true", help="all robots")

@@ -151,9 +151,7 @@ class RatesTile(_LinesTile):
 
 
 def _rate_row(route: RouteSnapshot, now: float) -> Row:
-    rate = formats.hertz(route.rate) + (
-        "" if route.expected_rate is None else f"/{formats.expected(route.expected_rate)}"
-    )
+    rate = formats.hertz(route.rate) + formats.beside_rate(route)
     return (
         Part(f"{STATE_SIGN[route.state]} ", route.state),
         Part(f"{rate:>9}  ", route.state),

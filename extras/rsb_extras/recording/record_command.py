@@ -17,6 +17,7 @@ from rsb_bridge.config.files import typed_path, whole_file, why_not_written
 from rsb_bridge.config.state_folder import searched_folders
 from rsb_bridge.model.wording import Wording
 from rsb_console.command.target import UsageError, attached, done, result
+from rsb_console.notation.formats import byte_count
 from rsb_extras.recording.keep_last import LARGEST, RECORDINGS, KeepLast
 
 if TYPE_CHECKING:
@@ -29,8 +30,8 @@ if TYPE_CHECKING:
 class RecordedText(Wording):
     """What an operator reads of a recording."""
 
-    WRITTEN = "{messages:,} messages of {topics} topics, {seconds:.0f} s, {size:.1f} MB: {path}"
-    WRITTEN_THERE = "{messages:,} messages of {topics} topics, {seconds:.0f} s, {size:.1f} MB: {path} on {host}"
+    WRITTEN = "{messages:,} messages of {topics} topics, {seconds:.0f} s, {size}: {path}"
+    WRITTEN_THERE = "{messages:,} messages of {topics} topics, {seconds:.0f} s, {size}: {path} on {host}"
     UNDESCRIBED = "without the types of {topics}, which nobody describes: most programs cannot read these topics"
     TOO_LARGE = "without {count:,} messages that alone exceed record.megabytes"
     SECONDS = "--seconds {value:g}: give a number above 0"
@@ -43,7 +44,7 @@ class RecordedText(Wording):
 def lines_about(kept: KeptRecording, *, here: bool) -> Iterator[str]:
     """Yield what was written, and what is missing; `here` says whether this machine's file has that path."""
     text = RecordedText.WRITTEN if here else RecordedText.WRITTEN_THERE
-    figures = {"messages": kept.messages, "topics": kept.topics, "seconds": kept.seconds, "size": kept.size / 1e6}
+    figures = {"messages": kept.messages, "topics": kept.topics, "seconds": kept.seconds, "size": byte_count(kept.size)}
     yield text(path=kept.path, host=kept.host, **figures)
     if kept.undescribed:
         yield RecordedText.UNDESCRIBED(topics=", ".join(kept.undescribed))

@@ -8,11 +8,10 @@ domain serves already.
 
 from __future__ import annotations
 
-import re
 from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.cdr.description import TypeClash, hashes_text
-from rsb_bridge.model.names import MOST_HOPS, Via, hop, node_of_hop, topic_place
+from rsb_bridge.model.names import MOST_HOPS, Via, hop, is_bridge, node_of_hop, topic_place
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.calls.calls_end import Trouble
 from rsb_bridge.route.combined_verdict import named, nodes_by
@@ -33,8 +32,6 @@ _NAMED = 4
 _EXPLAINED_WITHIN = 3.0
 """s that a node has to announce where its answers come from; after that it counts as no bridge. A round
 figure."""
-_BRIDGE = re.compile(r"/_rsb_\w+_[0-9a-f]{8}")
-"""The name of a bridge's node; it always counts as a bridge, even if a busy machine delays its announcement."""
 _ANNOUNCED_WITHIN = 3.0
 """s within which a living bridge announces its offers to a new one. A round figure."""
 
@@ -254,7 +251,7 @@ class CallLoopGuard:
             origin = announcements.origin_of_server(server, service)
             if origin is None:
                 first_seen[server.gid] = before.get(server.gid, now)
-                if _BRIDGE.fullmatch(server.node) or now - first_seen[server.gid] < _EXPLAINED_WITHIN:
+                if is_bridge(server.node) or now - first_seen[server.gid] < _EXPLAINED_WITHIN:
                     unexplained.append(server)
                     continue
             crossed = origin.via if origin is not None else ()

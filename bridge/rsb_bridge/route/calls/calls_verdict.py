@@ -155,7 +155,7 @@ def _waiting(half: CallsFacts, crossing: Crossing) -> Verdict | None:
         return None
     text = "not called since it was reopened" if half.came_before else "not called yet"
     if not offered and not crossing.flows:
-        text = f"waiting: {first_missing(half.stages())}"
+        text = first_missing(half.stages())
     return Verdict(State.WAITING, Cause.NO_CALL, text)
 
 

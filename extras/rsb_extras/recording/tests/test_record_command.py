@@ -19,6 +19,7 @@ from tests.support.wording import says
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.validation import validate
 from rsb_bridge.model.session import Session
+from rsb_console.notation.formats import byte_count
 from rsb_extras.pictures.tests.test_view_screen import comes, looking, viewed
 from rsb_extras.recording import RecordingFeature, RecordLimits, record_limits
 from rsb_extras.recording.keep_last import LARGEST, KeepLast
@@ -60,7 +61,7 @@ def test_command_says_where_it_is(ran: Any, machine: Machine, answer: Any) -> No
     asked = answer(KEPT)
     done = ran("record", "--seconds", "10")
     assert (done.code, asked) == (0, [KeepLast(10.0)])
-    assert says(done.out, RecordedText.WRITTEN, messages=9876, topics=12, path=KEPT.path)
+    assert says(done.out, RecordedText.WRITTEN, messages=9876, topics=12, size=byte_count(KEPT.size), path=KEPT.path)
     answer(replace(KEPT, host="elsewhere", undescribed=("/odd",), too_large=3))
     done = ran("record")
     assert asked[-1] == KeepLast(None)
