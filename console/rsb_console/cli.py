@@ -63,7 +63,7 @@ def _leave_ascii() -> None:
     """Start again with UTF-8 where the locale has ASCII only, which can't open or print a path with an umlaut."""
     if sys.getfilesystemencoding() == "ascii":
         os.environ["PYTHONUTF8"] = "1"  # also of the processes that this one starts
-        os.execv(sys.executable, [sys.executable, "-X", "utf8", *sys.orig_argv[1:]])  # noqa: S606 -- this program
+        os.execv(sys.executable, [sys.executable, "-P", *sys.orig_argv[1:]])  # noqa: S606 -- this program
 
 
 def _leave_working_folder() -> None:

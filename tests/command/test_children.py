@@ -21,6 +21,7 @@ SOURCES = [
     for path in (ROOT / folder).rglob("*.py")
     if "tests" not in path.relative_to(ROOT).parts
 ]
+BEGINS_AGAIN = "console/rsb_console/cli.py"  # executes itself, which starts no child
 PLANTED = "import pathlib\npathlib.Path({marker!r}).touch()\nraise ImportError('planted')\n"
 STARTS = {"Popen", "run", "call", "check_call", "check_output", "create_subprocess_exec", "create_subprocess_shell"}
 IN_PYTHON = ("fork", "forkpty", "system", "popen", "startfile", "exec", "spawn", "posix_spawn")
@@ -78,7 +79,7 @@ def test_every_module_that_starts_children_is_known() -> None:
                 assert not {"multiprocessing", "pty"} & {each.split(".")[0] for each in names}, name
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
                 called, of = node.func.attr, getattr(node.func.value, "id", "")
-                assert not (of == "os" and called.startswith(IN_PYTHON))
+                assert not (of == "os" and called.startswith(IN_PYTHON)) or name == BEGINS_AGAIN
                 if of in {"subprocess", "asyncio"} and called in STARTS and (of, called) != ("asyncio", "run"):
                     found.add(name)
             if isinstance(node, ast.ClassDef) and any(

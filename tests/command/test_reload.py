@@ -132,7 +132,7 @@ def test_sighup_without_a_terminal_and_the_command_reload(
             assert topics(capsys) == ["/scan"]
             user = pwd.getpwuid(os.getuid()).pw_name
             assert says(process, "operator.reloaded")["who"].startswith(user)
-            path.write_text(path.read_text().replace("2.0", "fast"))
+            path.write_text(path.read_text().replace("max_rate: 2", "max_rate: fast"))
             bad = Ran(capsys, "reload", "--json")
             assert bad.code == 1
             assert "robot1.yaml:" in bad.json["error"]

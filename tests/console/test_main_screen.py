@@ -197,7 +197,9 @@ async def test_links_with_fault_have_line_on_main_screen(app: ConsoleApp, pilot:
 
 @on_main()
 async def test_what_is_wrong_is_counted_by_kind(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    lasting = [state for state in State if state is not State.DISARMING]
+    put(app, route("/resting", State.RESTING))
+    await shown(pilot, "◎ 1 resting")
+    lasting = [state for state in State if state not in (State.DISARMING, State.RESTING)]
     put(app, *(route(f"/{state}", state) for state in lasting if state is not State.LATE))
     await shown(pilot, "9 topics")
     for words in (

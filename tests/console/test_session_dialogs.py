@@ -110,7 +110,7 @@ async def test_session_is_found_by_few_letters_and_opened(app: ConsoleApp, pilot
     ("content", "words"),
     [
         ("name: robot1\nrole: cleint\n", "broken.yaml:2: role: 'cleint' is not one of client, server"),
-        ("name: [\n", "broken.yaml:2:"),
+        ("name: [\n", "broken.yaml:1:"),
         (None, "no such file"),
     ],
 )

@@ -7,29 +7,15 @@ with it.
 
 from __future__ import annotations
 
-import contextlib
 from typing import Any
 
 import pytest
 from tests.simulation.beds import Bed, Yard
 from tests.simulation.call_harness import CallHarness
 from tests.support.coroutines import arguments_of
-from tests.support.places import Place
 
-READ_MACHINE = Place("rsb_extras.machine_state.machine_reading", "read_machine")
 _PARAMETERS = ("seed", "provider", "lister", "direction")
 """Of a test, and of its bed."""
-
-
-@pytest.fixture(autouse=True)
-def no_machine(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Give simulated machines no figures: this one's differ each time, and would be sent."""
-
-    def without_proc(*_: object) -> None:
-        raise FileNotFoundError
-
-    with contextlib.suppress(ModuleNotFoundError):  # the core alone
-        READ_MACHINE.set(monkeypatch, without_proc)
 
 
 def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool | None:

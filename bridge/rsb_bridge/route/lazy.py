@@ -70,13 +70,9 @@ class LazySender:
 
     def look(self) -> None:
         """Rest, or go on, by who wants the messages now."""
-        context, route = self._route.context, self._route
-        if self._is_wanted:
-            self._until = math.inf
-        elif self._until == math.inf:
-            self._until = context.now() + KEPT_FOR
-            context.loop.call_at(self._until, self.look)
-        rests = self._may_rest and not self._is_wanted and context.now() >= self._until
+        route = self._route
+        self._look_who_wants()
+        rests = self._may_rest and not self._is_wanted and route.context.now() >= self._until
         if rests == self.rests or not route.id:
             return
         self.rests = rests
@@ -91,7 +87,15 @@ class LazySender:
     def end(self) -> None:
         """End the opening. The next one subscribes at once if the messages were wanted until now."""
         self._wanted_there = self.rests = False
-        self.look()
+        self._look_who_wants()
+
+    def _look_who_wants(self) -> None:
+        context = self._route.context
+        if self._is_wanted:
+            self._until = math.inf
+        elif self._until == math.inf:
+            self._until = context.now() + KEPT_FOR
+            context.loop.call_at(self._until, self.look)
 
 
 class Looker(Protocol):
