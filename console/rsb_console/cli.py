@@ -61,7 +61,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _leave_ascii() -> None:
     """Start again with UTF-8 where the locale has ASCII only, which can't open or print a path with an umlaut."""
-    if sys.getfilesystemencoding() == "ascii":
+    # Once: an option of the interpreter, -X utf8=0, counts for more than the variable.
+    if sys.getfilesystemencoding() == "ascii" and os.environ.get("PYTHONUTF8") != "1":
         os.environ["PYTHONUTF8"] = "1"  # also of the processes that this one starts
         os.execv(sys.executable, [sys.executable, "-P", *sys.orig_argv[1:]])  # noqa: S606 -- this program
 

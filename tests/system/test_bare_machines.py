@@ -74,3 +74,11 @@ def test_umlaut_in_path_under_ascii_locale(tmp_path: Path) -> None:
         [_COMMAND, "check", path], capture_output=True, env=os.environ | ascii_only, timeout=120, check=False
     )
     assert (run.returncode, run.stderr, "schlüssel.key, for robot1" in run.stdout.decode()) == (0, b"", True)
+
+
+def test_program_begins_once_more_at_most_under_ascii_locale() -> None:
+    """``-X utf8=0`` counts for more than the variable with which it begins again."""
+    ascii_only = {"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0"}
+    command = [sys.executable, "-X", "utf8=0", "-P", "-m", "rsb_console", "--version"]
+    run = subprocess.run(command, capture_output=True, env=os.environ | ascii_only, timeout=120, check=False)
+    assert (run.returncode, run.stdout.startswith(b"rsb-console ")) == (0, True)

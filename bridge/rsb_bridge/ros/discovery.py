@@ -14,15 +14,17 @@ import re
 import secrets
 import socket
 import struct
-from contextlib import closing, contextmanager
+from contextlib import closing
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.wording import Wording
+from rsb_bridge.ros.environment import with_variables
 from rsb_bridge.ros.memory import PROFILE_VARIABLES, profile_variable
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, MutableMapping
+    from contextlib import AbstractContextManager
 
 SERVERS, SUPER_CLIENT, RANGE = "ROS_DISCOVERY_SERVER", "ROS_SUPER_CLIENT", "ROS_AUTOMATIC_DISCOVERY_RANGE"
 _FAST_DDS = "rmw_fastrtps"
@@ -164,21 +166,12 @@ def is_off(environment: Mapping[str, str]) -> bool:
     return environment.get(RANGE, "").upper() == "OFF" and environment.get("ROS_LOCALHOST_ONLY", "0") != "1"
 
 
-@contextmanager
-def whole_graph(environment: MutableMapping[str, str]) -> Iterator[None]:
+def whole_graph(environment: MutableMapping[str, str]) -> AbstractContextManager[None]:
     """Have the participant that the context creates learn of all nodes from a discovery server.
 
     Setup files of robots export `SUPER_CLIENT` as false for processes without a terminal, so its value is ignored.
     """
-    before = environment.get(SUPER_CLIENT)
-    environment[SUPER_CLIENT] = "TRUE"
-    try:
-        yield
-    finally:
-        if before is None:
-            del environment[SUPER_CLIENT]
-        else:
-            environment[SUPER_CLIENT] = before
+    return with_variables(environment, {SUPER_CLIENT: "TRUE"})
 
 
 # --- the question to a server

@@ -9,6 +9,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rsb_bridge.ros.environment import with_variables
+
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, MutableMapping
 
@@ -49,13 +51,8 @@ def histories_that_shrink(environment: MutableMapping[str, str]) -> Iterator[Non
     ):
         yield
         return
-    own = {profile_variable(environment): str(_HISTORIES), _QOS_VARIABLE: "1"}
-    environment.update(own)
-    try:
+    with with_variables(environment, {profile_variable(environment): str(_HISTORIES), _QOS_VARIABLE: "1"}):
         yield
-    finally:
-        for name in own:
-            del environment[name]
 
 
 def profile_variable(environment: Mapping[str, str]) -> str:

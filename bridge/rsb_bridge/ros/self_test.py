@@ -22,6 +22,7 @@ from rsb_bridge.cdr.known_types import STRING
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.ros.distribution import described, package_of
+from rsb_bridge.ros.environment import with_variables
 from rsb_bridge.ros.native.cyclone_dds import CYCLONE_DDS
 from rsb_bridge.ros.native.fast_cdr import copies_calls
 from rsb_bridge.ros.native.librcl import (
@@ -53,7 +54,7 @@ from rsb_bridge.ros.service_endpoints import CallerTable, RawServiceClient, RawS
 from rsb_bridge.ros.topic_endpoints import Reader, Writer
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from rsb_bridge.ros.native.named_types import NamedTypes
     from rsb_bridge.ros.native.rclpy_extension import Kind, OwnNode
@@ -189,26 +190,16 @@ def _found(node: Callable[[str, Context], OwnNode], context: Context) -> Finding
 @contextmanager
 def _alone() -> Iterator[Context]:
     """Make a context that discovers nobody."""
-    before = {name: os.environ.get(name) for name in _ALONE}
-    _set(_ALONE)
     context = Context()
     try:
-        context.init(ARGUMENTS, domain_id=_DOMAIN)
-        yield context
+        with with_variables(os.environ, _ALONE):
+            context.init(ARGUMENTS, domain_id=_DOMAIN)
+            yield context
     except (RuntimeError, _DiffersError) as error:
         raise RosError(RosProblem.LACKS(distribution=described(), name=reason_of(error))) from error
     finally:
-        _set(before)
         context.try_shutdown()
         context.destroy()
-
-
-def _set(variables: Mapping[str, str | None]) -> None:
-    for name, value in variables.items():
-        if value is None:
-            os.environ.pop(name, None)
-        else:
-            os.environ[name] = value
 
 
 def _why_not(

@@ -15,7 +15,7 @@ from rsb_bridge.model.verdict import FINE, Cause, Verdict, worse
 from rsb_bridge.wire.records import VerdictRecord
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Collection, Iterable
 
     from rsb_bridge.model.faults import PathFault
     from rsb_bridge.ros.ros_interface import Endpoint
@@ -185,6 +185,11 @@ def node_names(endpoints: Iterable[Endpoint]) -> tuple[str, ...]:
 def named(nodes: Iterable[str]) -> str:
     """``/a``, ``/a and /b``, ``/a, /b, /c and 2 more``."""
     return join_first(sorted({node or "a node that is not known yet" for node in nodes}), NAMED) or "nobody"
+
+
+def who_publish(nodes: Collection[str]) -> str:
+    """``/a publishes``, ``/a and /b publish``."""
+    return f"{named(nodes)} {'publishes' if len(nodes) == 1 else 'publish'}"
 
 
 def nodes_by(endpoints: Iterable[Endpoint], what: Callable[[Endpoint], str]) -> dict[str, set[str]]:

@@ -16,7 +16,7 @@ from rsb_bridge.model.qos import match_publishers
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.ros_graph import Sought, are_alike
-from rsb_bridge.route.combined_verdict import named, nodes_by
+from rsb_bridge.route.combined_verdict import nodes_by, who_publish
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -149,17 +149,15 @@ class Resolver:
             prefixed = self._route.far_topic.endswith(topic) and topic.endswith(meant)
             why = f" The server adds {topic.removesuffix(meant)}" if prefixed and self._route.far_topic != topic else ""
             return Elsewhere(Cause.SIMILAR_NAME, f"did you mean {meant}?{why}")
-        nodes = {each.node for each in publishers}
-        verb = "publishes" if len(nodes) == 1 else "publish"
-        return Elsewhere(Cause.SIMILAR_NAME, f"{named(nodes)} {verb} {meant}, the same type")
+        who = who_publish({each.node for each in publishers})
+        return Elsewhere(Cause.SIMILAR_NAME, f"{who} {meant}, the same type")
 
     def _on_other_side(self) -> Elsewhere:
         """Say that the direction may be wrong: in the entry that lists the topic, on whichever side it is."""
-        route, nodes = self._route, self.published_there
+        route, who = self._route, who_publish(self.published_there)
         where = "the server" if route.peer.is_client else route.peer.name
-        verb = "publishes" if len(nodes) == 1 else "publish"
         direction = "transmit" if route.spec.direction == "receive" else "receive"
-        return Elsewhere(Cause.PUBLISHED_THERE, f"{named(nodes)} {verb} it on {where}: direction: {direction}?")
+        return Elsewhere(Cause.PUBLISHED_THERE, f"{who} it on {where}: direction: {direction}?")
 
 
 def no_publisher(topic: str, domain: str, elsewhere: Elsewhere | None = None, *, gone: bool = False) -> str:

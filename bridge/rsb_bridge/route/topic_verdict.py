@@ -11,7 +11,7 @@ from rsb_bridge.model.text import join_first
 from rsb_bridge.model.verdict import LASTING, Cause, Verdict
 from rsb_bridge.route.age import expired_verdict
 from rsb_bridge.route.blocking_rules import ACCEPTED, first_missing
-from rsb_bridge.route.combined_verdict import NAMED, named
+from rsb_bridge.route.combined_verdict import NAMED, named, who_publish
 from rsb_bridge.route.crossing import Crossing
 from rsb_bridge.route.lateness import late_verdict
 from rsb_bridge.route.ledger import LOSS_CAUSES, LOSSES
@@ -342,8 +342,7 @@ def _subscribers(half: ReceiverFacts, crossing: Crossing) -> Verdict | None:
 def _changed_type(half: ReceiverFacts, others: Collection[Endpoint]) -> str:
     """Say that the publishers have another type than before, and who still has that one."""
     now, (nodes, _, _) = half.carried.type_name, half.ends()
-    verb = "publishes" if len(nodes) == 1 else "publish"
-    changed = f"{named(nodes)} {verb} {now} now" if nodes else f"it is published as {now} now"
+    changed = f"{who_publish(nodes)} {now} now" if nodes else f"it is published as {now} now"
     return f"{changed}, {types_and_nodes(others)} as before: correct the publisher"
 
 

@@ -4,7 +4,15 @@ from __future__ import annotations
 
 import re
 
-from rsb_bridge.cdr.description import NESTED, PRIMITIVE_NAMES, FieldType, MessageField, MessageType, TypeDescription
+from rsb_bridge.cdr.description import (
+    KINDS,
+    NESTED,
+    PRIMITIVE_NAMES,
+    FieldType,
+    MessageField,
+    MessageType,
+    TypeDescription,
+)
 
 _LONGEST = 256 << 10  # characters of a definition; the longest of the common interfaces has 60,000
 _SEPARATOR = re.compile(r"^={80,}[ \t]*$", re.MULTILINE)
@@ -14,7 +22,7 @@ _FIELD = re.compile(
 )
 _IDS = {name: number for number, name in reversed(PRIMITIVE_NAMES.items()) if name != "wchar"}
 _BOUNDED_TEXT = {"string": 21, "wstring": 22}
-_ARRAY, _BOUNDED, _SEQUENCE = 48, 96, 144
+_ARRAY, _BOUNDED, _SEQUENCE = KINDS, 2 * KINDS, 3 * KINDS
 _MOST = (1 << 32) - 1
 
 

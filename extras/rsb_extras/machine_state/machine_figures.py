@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from enum import StrEnum
+from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Final, NamedTuple, TypeAlias
 
 import msgspec
@@ -85,12 +86,13 @@ class MachineFault(Wording):
 
     CPU = "its processors are at {cpu} %: end what takes them there (top)"
     MEMORY = "its memory is {memory} % full: end what takes it there (top -o %MEM)"
-    DISK = "its disk is {disk} % full at {disk_path}: make room there (du -xh {disk_path})"
+    DISK = "its disk is {disk} % full at {disk_path}: make room there (du -xh {disk_word})"
     HOT = "its machine is at {temperature} °C and may slow down: cool it, or let it do less"
 
     @classmethod
     def of(cls, cause: MachineCause, state: MachineState | ShownMachine) -> str:
-        return cls[cause.name](**msgspec.structs.asdict(state))
+        # The path is the peer's word, and the command is for a shell.
+        return cls[cause.name](**msgspec.structs.asdict(state), disk_word=quote(state.disk_path))
 
 
 class _Limit(NamedTuple):

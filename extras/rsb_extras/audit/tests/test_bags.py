@@ -162,6 +162,17 @@ HOSTILE = {
 }
 
 
+def audit_far(sides: Sides, far: Path, ran: Any) -> tuple[Any, int]:
+    """Audit a file as the far side; return how it ran, and the bytes of memory that it took at most."""
+    sides.spans(15)
+    sides.near.done()
+    tracemalloc.start()
+    done = ran("audit", str(sides.near.path), str(far))
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    return done, most
+
+
 @pytest.mark.parametrize("name", HOSTILE)
 def test_database_that_is_no_bag_is_refused(name: str, sides: Sides, tmp_path: Path, ran: Any) -> None:
     """A view that never ends is not asked, and nothing that is computed is."""
@@ -170,12 +181,7 @@ def test_database_that_is_no_bag_is_refused(name: str, sides: Sides, tmp_path: P
     bag.executescript(HOSTILE[name])
     bag.commit()
     bag.close()
-    sides.spans(15)
-    sides.near.done()
-    tracemalloc.start()
-    done = ran("audit", str(sides.near.path), str(path))
-    most = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
+    done, most = audit_far(sides, path, ran)
     assert (done.code, says(done.err, UnreadableRecording.EMPTY, path=path)) == (2, True)
     assert most < 40_000_000
 
@@ -241,12 +247,7 @@ def chunk_of(content: bytes) -> bytes:
 
 
 def read_far(sides: Sides, path: Path, ran: Any) -> str:
-    sides.spans(15)
-    sides.near.done()
-    tracemalloc.start()
-    done = ran("audit", str(sides.near.path), str(path))
-    most = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
+    done, most = audit_far(sides, path, ran)
     assert done.code == 2
     assert most < 20_000_000
     return str(done.err)

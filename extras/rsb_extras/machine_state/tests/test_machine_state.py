@@ -24,7 +24,7 @@ from rsb_bridge.wire.codec import encode
 from rsb_bridge.wire.messages import Ping
 from rsb_extras import machine_state
 from rsb_extras.machine_state.link_machine import MachineCode
-from rsb_extras.machine_state.machine_figures import MACHINE, MachineCause, MachineJudge, MachineState
+from rsb_extras.machine_state.machine_figures import MACHINE, MachineCause, MachineFault, MachineJudge, MachineState
 from rsb_extras.machine_state.machine_figures import shown as as_shown
 from rsb_extras.machine_state.machine_reading import read_machine
 
@@ -116,6 +116,12 @@ def test_a_short_load_is_no_fault_and_a_fault_does_not_flicker() -> None:
     assert after(FULL) == (MachineCause.DISK,)
     assert after(msgspec.structs.replace(FINE, disk=96)) == (MachineCause.DISK,)
     assert after(msgspec.structs.replace(FINE, memory=99, temperature=90)) == (MachineCause.MEMORY, MachineCause.HOT)
+
+
+def test_path_of_the_peer_is_one_word_of_a_command() -> None:
+    state = msgspec.structs.replace(FULL, disk_path="/var; reboot")
+    assert MachineFault.of(MachineCause.DISK, state).endswith("(du -xh '/var; reboot')")
+    assert MachineFault.of(MachineCause.DISK, FULL).endswith("(du -xh /var/log)")
 
 
 # -- two sides
