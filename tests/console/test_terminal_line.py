@@ -19,10 +19,14 @@ class Way:
         rate: bytes/s.
         trip: s.
         buffer: bytes that the kernel takes before a write waits, or None for a network, whose buffers take all.
+        saved: s of the line that it makes up for after a rest.
     """
 
-    def __init__(self, rate: float, trip: float = 0.0, *, answers: bool = True, buffer: int | None = None) -> None:
+    def __init__(
+        self, rate: float, trip: float = 0.0, *, answers: bool = True, buffer: int | None = None, saved: float = 0.0
+    ) -> None:
         self.now, self.rate, self.trip, self.answers, self.buffer = 100.0, rate, trip, answers, buffer
+        self.saved = saved
         self.line = TerminalLine(lambda: self.now)
         self.carries_until = self.now
         self._answers: list[tuple[float, int, float]] = []
@@ -40,14 +44,15 @@ class Way:
 
     def write(self, size: int) -> None:
         self.line.wrote(size)
-        self.carries_until = max(self.now, self.carries_until) + size / self.rate
+        self.carries_until = max(self.now - self.saved, self.carries_until) + size / self.rate
         if self.buffer is not None and (waits := (self.under_way - self.buffer) / self.rate) > 0.02:
             self.now += waits
             self.line.waited(size, waits)
         if self.line.is_to_be_asked:
             self.line.asked(self.now)
             if self.answers:
-                heapq.heappush(self._answers, (self.carries_until + self.trip, next(self._order), self.now))
+                arrives = max(self.now, self.carries_until) + self.trip
+                heapq.heappush(self._answers, (arrives, next(self._order), self.now))
 
     def change_to(self, rate: float) -> None:
         """Carry what is under way and all after it at another rate."""
@@ -87,6 +92,19 @@ def test_rate_is_learned_from_answers(rate: int, trip: float) -> None:
     way.play(20.0, 2.0 * rate)
     carried, latest = way.play(20.0, 2.0 * rate)
     assert carried > 0.6 * rate
+    assert latest < 2.5 * FRAME
+
+
+@pytest.mark.parametrize("rate", [960, 1_920, 11_520])
+def test_little_that_passes_at_once_proves_no_fast_line(rate: int) -> None:
+    """As behind a queue or on a radio link: after a rest, what waits is sent at once."""
+    way = Way(rate, saved=0.1)
+    way.play(10.0, 2.0 * rate)
+    for _ in range(100):
+        way.write(int(0.09 * rate))
+        way.go_on(0.25)
+    way.go_on(1.0)
+    _, latest = way.play(3.0, 10.0 * rate)
     assert latest < 2.5 * FRAME
 
 

@@ -29,7 +29,8 @@ _LEAST: Final = 120
 _TELLS: Final = 300
 """Bytes from which on an answer tells the line's rate: fewer are lost in the jitter of a radio link."""
 _MUCH: Final = 2.0
-"""Times as fast as known, which an answer alone proves: jitter makes answers late, never early."""
+"""Times as fast as known, which an answer alone proves: jitter makes answers late, never early. And times as long as
+what has passed that a frame may be: radio links and queues let some bytes pass at once after a rest, at any rate."""
 _AT_ONCE: Final = 0.01
 """s. What takes no longer tells only that the line is no slower."""
 _SLACK: Final = 0.1
@@ -89,6 +90,8 @@ class TerminalLine:
         self._answered_at = self._asked_at = self._wrote_at = float("-inf")
         self._in_flight, self._at = 0.0, clock()
         """Bytes that the line has not carried yet, by estimate, and when it was made."""
+        self._passed_since, self._passed = float("-inf"), 0
+        """When a frame's time began in which answers came at once, and the bytes before them."""
         self._began = self._at
         self._marks: deque[tuple[float, int]] = deque([(self._at, 0)], maxlen=_SECONDS)
         """How much was written until when, a second apart."""
@@ -151,7 +154,10 @@ class TerminalLine:
     def _learn(self, size: int, seconds: float) -> None:
         found = size / max(seconds, _AT_ONCE)
         if seconds <= _AT_ONCE or found > _MUCH * self.rate:
-            self.rate = max(self.rate, found)
+            if self._at - self._passed_since > FRAME:
+                self._passed_since, self._passed = self._at, 0
+            self._passed += size
+            self.rate = max(self.rate, min(found, _MUCH * self._passed / FRAME))
         elif size >= min(_TELLS, self.most / 2):  # fewer are lost in the jitter of a radio link
             # A delay of a moment may be jitter; a longer one is the line's, or it costs little: rates rise at once.
             if seconds > _TRIED_EVERY:
