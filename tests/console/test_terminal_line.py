@@ -108,6 +108,18 @@ def test_little_that_passes_at_once_proves_no_fast_line(rate: int) -> None:
     assert latest < 2.5 * FRAME
 
 
+@pytest.mark.parametrize("trip", [0.0, 0.06, 0.3])
+def test_line_that_became_slower_at_rest_is_noticed_by_the_first_frame(trip: float) -> None:
+    way = Way(150_000, trip)
+    way.play(10.0, 300_000)
+    way.rate = 1_920
+    for _ in range(40):
+        way.write(80)
+        way.go_on(0.25)
+    _, latest = way.play(3.0, 300_000)
+    assert latest < 2.5 * FRAME
+
+
 @pytest.mark.parametrize("rate", [960, 1_920])
 def test_rate_is_learned_where_nothing_answers(rate: int) -> None:
     """Only when the kernel's buffer is full, which then empties first."""

@@ -27,10 +27,13 @@ _AT_FIRST: Final = 11_520
 _LEAST: Final = 120
 """Bytes that a frame may have over any line: some words."""
 _TELLS: Final = 300
-"""Bytes from which on an answer tells the line's rate: fewer are lost in the jitter of a radio link."""
+"""Bytes from which on an answer tells the line's rate, or half a frame of a line that has less."""
 _MUCH: Final = 2.0
 """Times as fast as known, which an answer alone proves: jitter makes answers late, never early. And times as long as
 what has passed that a frame may be: radio links and queues let some bytes pass at once after a rest, at any rate."""
+_STALE_AFTER: Final = 5.0
+"""s without such an answer after which the rate may be another one: the next frame is of that size, and is answered
+before the one after it. A round figure."""
 _AT_ONCE: Final = 0.01
 """s. What takes no longer tells only that the line is no slower."""
 _SLACK: Final = 0.1
@@ -63,7 +66,7 @@ _BITS: Final = 10
 
 class _Asked(NamedTuple):
     at: float
-    size: int  # bytes since the question before
+    size: int  # bytes since the question before that were in flight
     due: float
     alone: bool  # nothing else was in flight
 
@@ -90,6 +93,8 @@ class TerminalLine:
         self._answered_at = self._asked_at = self._wrote_at = float("-inf")
         self._in_flight, self._at = 0.0, clock()
         """Bytes that the line has not carried yet, by estimate, and when it was made."""
+        self._told_at = self._at
+        """When an answer told the rate last."""
         self._passed_since, self._passed = float("-inf"), 0
         """When a frame's time began in which answers came at once, and the bytes before them."""
         self._began = self._at
@@ -118,7 +123,9 @@ class TerminalLine:
             trip = self._trip or 0.0
             due = self._carry() / self.rate + at + trip + max(_SLACK, trip / 2)
             alone = not self._asked and self._in_flight <= self._since_question
-            self._asked.append(_Asked(at, self._since_question, due, alone))
+            # What was written long before it has left by now.
+            size = min(self._since_question, round(self._in_flight))
+            self._asked.append(_Asked(at, size, due, alone))
             while not self.answers and len(self._asked) > _ASKED_AT_MOST:
                 self._asked.popleft()
             self._asked_at, self._since_question = at, 0
@@ -132,7 +139,9 @@ class TerminalLine:
                 size, alone = size + self._asked[0].size, self._asked[0].alone
                 self._asked.popleft()
             took = self._at - asked_at
-            if self._trip is None or took <= self._trip or (alone and self._is_to_empty):
+            # Where the rate may be another one, what much takes beyond it is no round trip.
+            is_trip = alone and self._is_to_empty and not (self._is_stale and size >= self._telling)
+            if self._trip is None or took <= self._trip or is_trip:
                 self._trip, self._trip_seen = min(took, max(_AT_ONCE, took - size / self.rate)), self._at
             self._learn(size, self._at - max(asked_at + self._trip, self._answered_at))
             self._answered_at = self._at
@@ -152,15 +161,17 @@ class TerminalLine:
                 self._in_flight = self._kernels = max(self._kernels, self._in_flight, at_first)
 
     def _learn(self, size: int, seconds: float) -> None:
-        found = size / max(seconds, _AT_ONCE)
+        found, tells, was_stale = size / max(seconds, _AT_ONCE), size >= self._telling, self._is_stale
+        if tells:
+            self._told_at = self._at
         if seconds <= _AT_ONCE or found > _MUCH * self.rate:
             if self._at - self._passed_since > FRAME:
                 self._passed_since, self._passed = self._at, 0
             self._passed += size
             self.rate = max(self.rate, min(found, _MUCH * self._passed / FRAME))
-        elif size >= min(_TELLS, self.most / 2):  # fewer are lost in the jitter of a radio link
+        elif tells:
             # A delay of a moment may be jitter; a longer one is the line's, or it costs little: rates rise at once.
-            if seconds > _TRIED_EVERY:
+            if seconds > _TRIED_EVERY or was_stale:
                 self.rate = found
             elif found * _MUCH < self.rate:
                 self.rate = max(found, self.rate / 2)
@@ -186,6 +197,15 @@ class TerminalLine:
         return self._trip is not None and self._at - self._trip_seen > _EMPTIED_EVERY
 
     @property
+    def _telling(self) -> float:
+        """Bytes whose answer tells the rate: fewer are lost in the jitter of a radio link."""
+        return min(_TELLS, max(_LEAST, self.rate * FRAME) / 2)
+
+    @property
+    def _is_stale(self) -> bool:
+        return self.answers and self._at - self._told_at > _STALE_AFTER
+
+    @property
     def _not_answered(self) -> int:
         return self._since_question + sum(each.size for each in self._asked)
 
@@ -204,12 +224,14 @@ class TerminalLine:
     def most(self) -> float:
         """Bytes of the next frame at most."""
         with self._lock:
-            return _LEAST if self._overdue else max(_LEAST, self.rate * FRAME)
+            if self._overdue:
+                return _LEAST
+            return self._telling if self._is_stale else max(_LEAST, self.rate * FRAME)
 
     @property
     def is_to_be_asked(self) -> bool:
         """Whether an answer now would tell how the line is."""
-        return self._since_question >= min(_TELLS, self.most / 2) or self._clock() - self._asked_at > _ASKED_AFTER
+        return self._since_question >= self._telling or self._clock() - self._asked_at > _ASKED_AFTER
 
     @property
     def late(self) -> float:
@@ -221,7 +243,9 @@ class TerminalLine:
     def is_free(self) -> bool:
         """Whether the next frame may be written."""
         with self._lock:
-            if self.late <= (0.0 if self._is_to_empty else _NEXT_AFTER) and not (self._is_to_empty and self._asked):
+            is_tried = self._is_stale and self._not_answered >= self._telling
+            is_carried = self.late <= (0.0 if self._is_to_empty else _NEXT_AFTER)
+            if is_carried and not is_tried and not (self._is_to_empty and self._asked):
                 return True
             if self._overdue > _GIVEN_UP_AFTER:
                 self._asked.clear()
