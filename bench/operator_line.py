@@ -4,7 +4,9 @@ A robot and a desk are simulated in two ROS domains, a bridge of two processes s
 ``rsb-console attach`` runs at the desk in a terminal of 80×24 (`bench.slow_terminal`). Parts, by name; all without one:
 
 - ``rest``: bytes a second that the console sends, by terminal and by what it shows;
-- ``keys``: s from a key until the screen behind a line of some bytes a second shows its effect;
+- ``keys``: s from a key until the screen behind a line of some bytes a second shows the first part of its effect, which
+  tells what the key did (title and first lines of the help, title and state of the box that drives, question and both
+  answers), and the whole;
 - ``mosh``: the same with mosh over a path that delays and loses packets (``apt install mosh``);
 - ``peers``: bytes a second at rest, and bytes for a cursor key, beside ``htop``, if it is installed, and the programs
   of ``--peer NAME=COMMAND``.
@@ -61,6 +63,7 @@ _CURSOR_KEYS, _KEY_SHOWN = 10, 0.1
 
 _HELP, _DISARMED = "Help: every key", "press A to arm it"
 _QUESTION, _ARMED, _MOVES = "Arm /cmd_vel of", "armed, for", "forward +"
+_ANSWERS = re.compile(r"Arm +No")
 
 
 class Scene(NamedTuple):
@@ -68,26 +71,38 @@ class Scene(NamedTuple):
 
     Attributes:
         opens: the keys that open it from the main screen, each with the text that shows their effect.
+        first: a text of its first line.
         last: a text of its last line, which is drawn last.
         drives: the key of the box that drives.
+        help: texts of the first two lines, and of the last, of the help for it.
     """
 
     name: str
     opens: tuple[tuple[str, str], ...]
+    first: str = ""
     last: str = ""
     drives: str = "D"
+    help: tuple[str, str, str] = ("", "", "")
 
 
 def _layout(name: str, text: str) -> tuple[tuple[str, str], ...]:
     return ("V", "type to search"), (name, f"layout {name}"), ("\r", text)
 
 
-_Took = dict[str, list[float]]
+_Took = dict[str, list[list[float]]]
+"""s of the first part and of the whole of each key's effect, of each time that it was pressed."""
 
-MAIN = Scene("main screen", (), "? help  q quit")
+MAIN = Scene("main screen", (), "LINKED", "? help  q quit", help=("Next line", "Previous line", "previous_match"))
 DRIVE = Scene("drive box, no key", (("D", _DISARMED),))
 SILENT = Scene("two tiles, no picture", _layout("two-silent", "publisher"))
-CAMERA = Scene("camera", _layout("one-camera", "/camera/image_raw"), " d drive ", "d")
+CAMERA = Scene(
+    "camera",
+    _layout("one-camera", "/camera/image_raw"),
+    "/camera/image_raw",
+    " d drive ",
+    "d",
+    ("Tiles (V", "Add a tile", "Of a map"),
+)
 RESTING = (
     *((kind, scene, rate) for kind in ("24bit", "256", "vt220") for scene in (MAIN, DRIVE) for rate in (4.0, 0.5)),
     *((kind, scene, 4.0) for kind in ("24bit", "256", "vt220") for scene in (SILENT, CAMERA)),
@@ -96,6 +111,7 @@ RESTING = (
 )
 """Terminals, scenes and refreshes a second."""
 KEYS = ("help", "help gone", "drive box", "arm question", "forward")
+_PARTS = "p50 and worst of the first part that tells what the key did, and of the whole,"
 
 
 def main() -> None:
@@ -159,7 +175,7 @@ def _received(terminal: SlowTerminal) -> float:
 
 
 def _keys(sides: Sequence[Side], options: Namespace) -> None:
-    print(f"\nfrom a key to the screen, s, p50 and worst of {options.rounds}")
+    print(f"\nfrom a key to the screen, s, {_PARTS} of {options.rounds}")
     _head(sides, "bytes/s", "terminal", "shows", "key")
     scenes = [each for each in (MAIN, CAMERA) if each.name in options.scenes]
     for rate, kind, scene in product(options.rates, options.terminals, scenes):
@@ -175,27 +191,28 @@ def _press_all(terminal: SlowTerminal, scene: Scene, within: float, rate: float 
     """Press each key once, and add the s until the screen showed it: `NEVER` for those that could not be pressed."""
     pressed = 0
 
-    def press(key: str, shows: Shows, *, held: bool = False) -> None:
+    def press(key: str, first: Shows, whole: Shows, *, held: bool = False) -> None:
         nonlocal pressed
         time.sleep(_QUIET_AFTER if rate is None else _FULL_AFTER)
-        took[KEYS[pressed]].append(terminal.key_to_screen(key, shows, within, held=held))
+        took[KEYS[pressed]].append(terminal.key_to_screen(key, (first, whole), within, held=held))
         pressed += 1
         if not held:
-            terminal.until(shows)
+            terminal.until(whole)
 
     _open(terminal, scene)
     terminal.rate = rate
     time.sleep(0.0 if rate is None else _SLOW_AFTER)
     try:
-        press("?", _has(_HELP, without=scene.last))
-        press("q", _has(scene.last, without=_HELP))
-        press(scene.drives, _has(_DISARMED))
-        press("A", _has(_QUESTION))
+        *first, last = scene.help
+        press("?", _has(_HELP, *first), _has(_HELP, *first, last, without=scene.last))
+        press("q", _has(scene.first, without=_HELP), _has(scene.first, scene.last, without=last))
+        press(scene.drives, _has("Drive /cmd_vel", _DISARMED), _has("Drive /cmd_vel", _DISARMED, "esc leave"))
+        press("A", _asks, lambda lines: _asks(lines) and _has("From now on", "disarms when")(lines))
         _agree(terminal)
-        press("i", _has(_MOVES), held=True)
+        press("i", _has(_MOVES), _has(_MOVES), held=True)
     except NotShownError:  # such as a question whose Yes never counts
         for key in KEYS[pressed:]:
-            took[key].append(NEVER)
+            took[key].append([NEVER, NEVER])
 
 
 def _agree(terminal: SlowTerminal) -> None:
@@ -214,7 +231,7 @@ def _mosh(sides: Sequence[Side], options: Namespace) -> None:
     if not (shutil.which("mosh-server") and shutil.which("mosh-client")):
         print("\nmosh is not installed: apt install mosh")
         return
-    print(f"\nover mosh: at rest, and from a key to the screen, s, p50 and worst of {options.rounds}")
+    print(f"\nover mosh: at rest, and from a key to the screen, s, {_PARTS} of {options.rounds}")
     _head(sides, "round trip", "lost", "shows", "key")
     for (round_trip, loss), scene in product(_PATHS, (MAIN, CAMERA)):
         if scene.name not in options.scenes:
@@ -327,12 +344,21 @@ def _has(*texts: str, without: str = "\0") -> Shows:
     return shows
 
 
-def _rows(about: tuple[str, ...], took: Sequence[Mapping[str, Sequence[float]]], within: float) -> None:
+def _asks(lines: Sequence[str]) -> bool:
+    """Return whether the question to arm stands there, with both answers."""
+    return _has(_QUESTION)(lines) and any(map(_ANSWERS.search, lines))
+
+
+def _rows(about: tuple[str, ...], took: Sequence[Mapping[str, Sequence[Sequence[float]]]], within: float) -> None:
     for key in KEYS:
-        middle = [statistics.median(each[key]) for each in took]
-        worst = [max(each[key]) for each in took]
-        cells = [" ".join(_time(each, within) for each in pair) for pair in zip(middle, worst, strict=True)]
-        _row((*about, key), cells, middle)
+        cells, middles = [], []
+        for side in took:
+            parts = [*zip(*side[key], strict=True)]
+            middles.append(statistics.median(parts[0]))
+            cells.append(
+                "  ".join(f"{_time(statistics.median(each), within)} {_time(max(each), within)}" for each in parts)
+            )
+        _row((*about, key), cells, middles)
 
 
 def _time(seconds: float, within: float) -> str:
@@ -348,7 +374,7 @@ def _row(about: Sequence[str], cells: Sequence[str], figures: Sequence[float]) -
     ratio = ""
     if len(figures) > 1 and figures[0]:
         ratio = f"{'never' if figures[1] == NEVER else f'{figures[1] / figures[0]:.2g}×':>10}"
-    print(names + "".join(f"{each:>16}" for each in cells) + ratio, flush=True)
+    print(names + "".join(f"{each:>26}" for each in cells) + ratio, flush=True)
 
 
 if __name__ == "__main__":

@@ -28,7 +28,7 @@ NEVER = float("inf")
 _TICK = 0.005
 """s between two reads of a limited line."""
 _SAVED = 0.1
-"""s of the line that a reader without a processor makes up for."""
+"""s of the line that a reader without a processor makes up for, while something waits: a line at rest saves nothing."""
 _REPEATS_AFTER, _REPEATS_EVERY = 0.4, 0.033
 """s of a key that is held, as usual keyboards send it."""
 _CURSOR_MODE = 1 << 5
@@ -105,9 +105,9 @@ class SlowTerminal:
         self._decoder = codecs.getincrementaldecoder("utf-8")("replace")
         self._begun = b""
         self._lock = threading.Lock()
-        self._awaited: Shows | None = None
+        self._awaited: list[Shows] = []
         self._came = threading.Event()
-        self._came_at = NEVER
+        self._came_at: list[float] = []
         self._stopping = threading.Event()
         self._terminal = Terminal(*command, size=size, environ={"COLORTERM": "", "TERM": kind.term, **environ})
         self._reader = threading.Thread(target=self._read)
@@ -136,9 +136,9 @@ class SlowTerminal:
     def type(self, keys: str) -> None:
         self._terminal.type(keys)
 
-    def key_to_screen(self, key: str, shows: Shows, within: float, *, held: bool = False) -> float:
-        """Press a key, or hold it, and return the s until the screen behind the line shows something, or `NEVER`."""
-        self._await(shows)
+    def key_to_screen(self, key: str, shows: Sequence[Shows], within: float, *, held: bool = False) -> list[float]:
+        """Press a key, or hold it, and return the s until the screen behind the line shows each thing, or `NEVER`."""
+        self._await(*shows)
         began, repeat = time.monotonic(), _REPEATS_AFTER
         self.type(key)
         while not self._came.wait(repeat if held else within):
@@ -148,8 +148,8 @@ class SlowTerminal:
                 self.type(key)
                 repeat = _REPEATS_EVERY
         with self._lock:
-            self._awaited = None
-            return self._came_at - began
+            self._awaited = []
+            return [each - began for each in self._came_at]
 
     def until(self, shows: Shows, within: float = 60.0) -> None:
         """Wait until the screen shows something.
@@ -166,15 +166,21 @@ class SlowTerminal:
         self._await(shows)
         return self._came.wait(within)
 
-    def _await(self, shows: Shows) -> None:
+    def _await(self, *shows: Shows) -> None:
         with self._lock:
-            self._awaited, self._came_at = shows, NEVER
+            self._awaited, self._came_at = [*shows], [NEVER] * len(shows)
             self._came.clear()
             self._look()
 
     def _look(self) -> None:
-        if self._awaited is not None and self._awaited(self._screen.display):
-            self._awaited, self._came_at = None, time.monotonic()
+        if not self._awaited:
+            return
+        lines = self._screen.display
+        for number, shows in enumerate(self._awaited):
+            if self._came_at[number] == NEVER and shows(lines):
+                self._came_at[number] = time.monotonic()
+        if NEVER not in self._came_at:
+            self._awaited = []
             self._came.set()
 
     def _read(self) -> None:
@@ -187,7 +193,10 @@ class SlowTerminal:
                 time.sleep(_TICK)
                 budget = min(budget + rate * (now - before), max(1.0, rate * _SAVED))
             before = now
-            if budget < 1 or not select.select([self._terminal.fd], [], [], _TICK)[0]:
+            if budget < 1:
+                continue
+            if not select.select([self._terminal.fd], [], [], _TICK)[0]:
+                budget, before = 0.0, time.monotonic()
                 continue
             with contextlib.suppress(OSError):  # the program has closed its end
                 data = os.read(self._terminal.fd, int(budget))

@@ -169,8 +169,9 @@ class TerminalApp(App[ReturnType]):
     def _look_at_terminal(self) -> None:
         if isinstance(self._driver, ConsoleDriver):
             self._driver.look_for_answers()
-            if self.needs_young_keys or any(map(is_guarded, self.screen_stack)):
-                self._driver.ask_again()
+            is_guarding = any(map(is_guarded, self.screen_stack))
+            if (self.needs_young_keys or is_guarding) and self._driver.pulse.is_due(at_rest=not is_guarding):
+                self._driver.ask()
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
         """Disable the actions that change something while read-only."""
@@ -183,6 +184,8 @@ class TerminalApp(App[ReturnType]):
         """Handle an event as Textual does, but input only when it is its turn."""
         if isinstance(event, events.Resize):
             self.writer.forget()
+        elif isinstance(event, events.Key | events.MouseDown) and not event.is_forwarded:
+            self.writer.expect_effect()
         # The queue comes first: until an event's turn, another screen may be on top, which takes late keys or does not.
         if self.input_queue.takes(event):
             return

@@ -369,6 +369,22 @@ def test_keys_that_come_at_once_have_one_time() -> None:
     assert len(set(times)) == 1
 
 
+@pytest.mark.parametrize(("trip", "asked"), [(0.01, 20), (0.2, 20), (0.3, 40), (0.7, 40)])
+def test_keys_at_rest_are_young_with_fewer_questions(trip: float, asked: int) -> None:
+    """As fewer as a line with its round trip allows."""
+    clock = Time()
+    pulse, answers, count = Pulse({}, clock), list[tuple[float, Place]](), 0
+    for tick in range(240):
+        clock.now += ASKED_EVERY / 5
+        while answers and answers[0][0] <= clock.now:
+            pulse.answered(*answers.pop(0)[1])
+        if tick % 5 == 0 and pulse.is_due(at_rest=True):
+            answers.append((clock.now + trip, place_in(pulse.question())))
+            count += tick >= 40
+        assert tick < 40 or clock() - pulse.heard < FRESH_FOR
+    assert count == asked
+
+
 @on_main()
 async def test_terminal_attached_by_dtach_is_doubted(app: ConsoleApp, pilot: Pilot[None]) -> None:
     """It types Ctrl-L. What comes after it is another terminal's, and may be old."""

@@ -15,7 +15,7 @@ from textual._compositor import ChopsUpdate, LayoutUpdate
 from textual.geometry import Region, Size
 from textual.strip import Strip
 
-from rsb_console.terminal.screen_cells import FIRST, LAST, USUAL, ScreenCells
+from rsb_console.terminal.screen_cells import FIRST, LAST, LINES, USUAL, ScreenCells
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -236,6 +236,37 @@ def test_place_where_a_picture_was_cut_does_not_move_what_comes_first() -> None:
         pass
     drawn(ours, *((y, 0, "a text", PLAIN) for y in range(SIZE.height)))
     assert ours.next(8, ranks).spans[0][:2] == (0, 0)
+
+
+def test_frame_of_a_box_comes_after_its_text() -> None:
+    ours, box = screen_cells(), Region(0, 0, 10, 3)
+    ours.next(INF)
+    drawn(ours, (0, 0, "╭─", COLOURED), (0, 2, "Help", BOLD), (0, 6, "───╮", COLOURED), (1, 1, "text", PLAIN))
+    spans = []
+    while (frame := ours.next(1, [(box, FIRST)])).lacks is not None:
+        spans += frame.spans
+        assert frame.lacks == (FIRST if len(spans) < 8 else LINES)
+    assert [(y, left) for y, left, _ in spans[:8]] == [(0, x) for x in range(2, 6)] + [(1, x) for x in range(1, 5)]
+
+
+def test_rest_of_a_screen_waits_unless_all_fits() -> None:
+    ours, box, picture = screen_cells(), Region(0, 4, 8, 1), Region(0, 0, SIZE.width, 2)
+    ranks = (box, FIRST), (picture, LAST)
+    drawn(ours, *((y, 0, "x" * SIZE.width, PLAIN) for y in range(SIZE.height)))
+    frame = ours.next(60, ranks, rest_waits=True)
+    assert ({y for y, *_ in frame.spans}, frame.lacks) == ({4}, USUAL)
+    assert ours.next(60, ranks, rest_waits=True).text == ""
+    assert ours.next(INF, ranks, rest_waits=True).lacks is None
+
+
+def test_new_thing_is_written_from_its_top_on() -> None:
+    ours = screen_cells()
+    ours.next(INF)
+    drawn(ours, *((y, 0, "x" * SIZE.width, PLAIN) for y in range(SIZE.height)))
+    assert ours.next(60).spans[-1][0] == 2
+    drawn(ours, *((y, 0, "y" * SIZE.width, PLAIN) for y in range(SIZE.height)))
+    ours.begin_at_top()
+    assert ours.next(60).spans[0] == (0, 0, SIZE.width)
 
 
 @pytest.mark.parametrize("another", [SIZE, Size(30, 6)])

@@ -8,12 +8,14 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, cast
 
 from rich.color import ColorSystem
-from tests.console.driving import on_main, until
+from tests.console.driving import NARROW, WIDE, on_main, until
+from tests.support.heights import heights_of
 from textual.geometry import Region
 from textual.screen import ModalScreen
 from textual.widgets import Static
 
-from rsb_console.terminal.screen_cells import FIRST, LAST, USUAL
+from rsb_console.screens.help import KeyList
+from rsb_console.terminal.screen_cells import FIRST, LAST, LINES, USUAL
 from rsb_console.terminal.screen_writer import ScreenWriter
 from rsb_console.terminal.terminal_line import TerminalLine
 
@@ -49,7 +51,57 @@ async def test_boxes_come_before_pictures_below_them_and_after_their_own(app: Co
         writer = ScreenWriter(app, driver, ColorSystem.TRUECOLOR, shown, lambda _: None)
         *ranks, header = writer._ranks()
         assert ranks == [(widget.region, rank) for widget, rank in expected]
-        assert header == (Region(0, 0, app.size.width, 2), FIRST)
+        assert header == (Region(0, 0, app.size.width, 2), LINES)
+
+
+@on_main()
+async def test_key_has_its_effect_before_what_is_below_the_box(
+    app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Which is written later, also while the key is held, and is no lateness meanwhile."""
+    app.push_screen(box := Box())
+    await until(pilot, lambda: bool(box.query("#box")) and box.is_current, "a box")
+    now, looks = [100.0], list[float]()
+    timer = SimpleNamespace(cancel=lambda: None)
+    loop = SimpleNamespace(call_later=lambda seconds, _call: looks.append(seconds) or timer)
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(asyncio, "get_running_loop", lambda: loop)
+    rows: list[int] = []
+    line = TerminalLine(lambda: now[0], rate=1_920)
+    driver: Any = SimpleNamespace(line=line, losses=0, is_free=True, late=0.0, write_frame=lambda *_, **__: None)
+    writer = ScreenWriter(
+        app, driver, ColorSystem.TRUECOLOR, (), lambda spans: rows.extend(y for y, *_ in spans)
+    )
+    writer._cells.resize(app.size)
+    writer.expect_effect()
+    region = box.query_one("#box").region
+    writer.forget()
+    while writer._cells.lacks(region):
+        now[0] += 0.02
+        writer.give()
+    assert set(rows) <= {0, 1, *region.line_range}
+    for _ in range(4):
+        now[0] += 0.05
+        writer.expect_effect()  # a repeat
+        writer.give()
+    assert set(rows) <= {0, 1, *region.line_range}
+    assert writer.late == 0.0
+    now[0] += looks[-1]
+    writer.give()
+    assert not set(rows) <= {0, 1, *region.line_range}
+
+
+@on_main(NARROW, WIDE)
+async def test_help_has_its_height_at_once(
+    app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else a slow line would carry it twice."""
+    heights = heights_of("KeyList", monkeypatch)
+    await pilot.press("question_mark")
+    await until(pilot, lambda: isinstance(app.screen.focused, KeyList), "the keys")
+    await pilot.pause()
+    assert heights == [app.screen.query_one(KeyList).outer_size.height]
+    assert heights[0] > app.size.height // 2
 
 
 def test_line_that_stands_still_is_looked_at_less_often(monkeypatch: pytest.MonkeyPatch) -> None:

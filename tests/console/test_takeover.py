@@ -14,14 +14,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import pytest
+from tests.console.driving import on_main
 from tests.console.terminal import Terminal
 from tests.support.waiting import eventually
+from textual import events
 
+from rsb_console.terminal.driver import ConsoleDriver
 from rsb_console.terminal.known_terminal import KnownTerminal
 from rsb_console.terminal.terminal_facts import TRUE_COLOUR, TerminalFacts, is_plain
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+
+    from textual.pilot import Pilot
+
+    from rsb_console.app import ConsoleApp
 
 _DA1, _PLACE, _DECRQSS = rb"\x1b\[c", rb"\x1b\[(\d+);(\d+)H\x1b\[6n", rb"\x1bP\$qm\x1b\\"
 MODES = ["\x1b[?1047h", "\x1b[?1000h", "\x1b[?1006h", "\x1b[?2004h", "\x1b[?1004h", "\x1b[?25l", "\x1b[?7l"]
@@ -188,6 +195,43 @@ def test_same_terminal_is_asked_once() -> None:
     terminal = known({"TERM": "xterm"})
     assert terminal.meet("41;379;0", None)
     assert not terminal.meet("41;379;0", None)
+
+
+@on_main()
+async def test_title_is_set_once_for_each_terminal(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    """Not again with each answer: they come several times a second."""
+    driver = ConsoleDriver(app)
+    written: list[str] = []
+    driver.write = written.append  # type: ignore[method-assign]
+    driver._known.swallows = True
+    driver.entitle("desk")
+
+    def answer() -> None:
+        question = re.search(r"\x1b\[(\d+);(\d+)H", driver.pulse.question())
+        assert question is not None
+        driver.pulse.answered(int(question[1]), int(question[2]))
+
+    for kind in ("1;4000;35", "1;4000;35", "41;379;0", "41;379;0"):
+        answer()
+        driver.process_message(events.Key("<terminal-kind>", f"\x1b[>{kind}c"))
+        await pilot.pause()
+    assert sum("\x1b]0;desk" in each for each in written) == 3
+
+
+@on_main()
+async def test_line_of_another_terminal_that_answers_nothing_is_used(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    """Else each second carries some words of its first screen, for half a minute."""
+    driver = ConsoleDriver(app)
+    driver.line.wrote(3_000)
+    driver.line.asked(time.monotonic())
+    driver.line.answered(time.monotonic())
+    driver.line.asked(time.monotonic())
+    driver._doubt()
+    driver.look_for_answers()
+    assert driver.line.answers
+    driver.pulse._doubted_at -= 10.0
+    driver.look_for_answers()
+    assert not driver.line.answers
 
 
 @pytest.mark.parametrize(

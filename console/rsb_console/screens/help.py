@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
     from textual.app import ComposeResult
     from textual.command import Hits
+    from textual.geometry import Size
     from textual.screen import Screen
 
     from rsb_console.actions.action import Action, KeyChapter
@@ -40,11 +41,19 @@ class KeyList(ScrolledLines):
         super().__init__(classes="dialog -wide")
         self.border_title = "Help: every key"
         self._make_lines = make
-        # The room in a wide dialog; the first resize says how much there is.
-        self._lines = list(make(94))
+        self._made_for = 0
+
+    def get_content_height(self, container: Size, viewport: Size, width: int) -> int:
+        """Return the number of lines in a width; else the box would be small at first, and be sent twice."""
+        self._write_for(width)
+        return len(self._lines)
 
     def on_resize(self) -> None:
-        self._lines = list(self._make_lines(self.size.width))
+        self._write_for(self.size.width)
+
+    def _write_for(self, width: int) -> None:
+        if width != self._made_for:
+            self._made_for, self._lines = width, list(self._make_lines(width))
 
 
 class HelpScreen(ModalScreen[None]):

@@ -32,7 +32,7 @@ from textual.screen import Screen
 from rsb_bridge.config.files import make_folder, owner_only
 from rsb_console.terminal import terminal_facts
 from rsb_console.terminal.known_terminal import KnownTerminal
-from rsb_console.terminal.pulse import ASKED_EVERY, KIND, WHO_ARE_YOU, Pulse, without_answers
+from rsb_console.terminal.pulse import KIND, WHO_ARE_YOU, Pulse, without_answers
 from rsb_console.terminal.terminal_line import TerminalLine, rate_of
 from rsb_console.terminal.tmux import tmux
 
@@ -409,6 +409,8 @@ class ConsoleDriver(LinuxDriver):
 
     def _meet(self, kind: str) -> None:
         """Find out what the terminal can show, if it may be another one."""
+        if not self._known.is_news(kind):
+            return
         if self.pulse.is_shared and self._known.is_known:
             return  # each of several tells its own kind, and would be the next
         before = self._known.facts
@@ -428,6 +430,7 @@ class ConsoleDriver(LinuxDriver):
         """Take a terminal that has not answered for long for one that answers nothing."""
         if self._known.is_in_doubt and self.pulse.doubted_for > _MUTE_AFTER:
             self._meet("")
+            self.line.expect_no_answers()
 
     def _take_answer(self, answer: str) -> None:
         before = self._known.facts
@@ -477,11 +480,6 @@ class ConsoleDriver(LinuxDriver):
         if self._known.swallows and title != self._title:
             self._title = title
             self.write(f"\x1b]0;{title}\x07")
-
-    def ask_again(self) -> None:
-        """Ask, unless a frame has just done so."""
-        if time.monotonic() - self.pulse.asked > ASKED_EVERY / 2:
-            self.ask()
 
     def ask(self) -> None:
         """Ask the terminal for a sign that it gets what is written, and that its keys come here."""

@@ -61,6 +61,10 @@ class KnownTerminal:
         asks = self._next is not None and self._clock() - self._next_since < _ANSWERS_WITHIN
         return not (self._is_in_doubt or asks)
 
+    def is_news(self, kind: str) -> bool:
+        """Whether the terminal that tells a kind may be another one than the last."""
+        return self._is_in_doubt or kind != self._kind
+
     def meet(self, kind: str, cell: tuple[float, float] | None) -> bool:
         """Take the kind of the terminal that is there, and return whether it is to be asked for the rest.
 
@@ -68,7 +72,7 @@ class KnownTerminal:
             kind: its answer to DA2, or empty if it has answered other questions only, or none.
             cell: pixels of a character, as the kernel knows them.
         """
-        if not self._is_in_doubt and kind == self._kind:
+        if not self.is_news(kind):
             return False
         self._is_in_doubt, self._kind = False, kind
         if self._first_kind is None:

@@ -27,6 +27,9 @@ if TYPE_CHECKING:
 
 ASKED_EVERY = 0.25
 """s between two questions while something can be driven or armed."""
+ASKED_AT_REST = 0.5
+"""The same while no screen is open whose keys have an effect, and a round trip takes no longer than `ASKED_EVERY`: then
+keys are young as well, and on a slow line the questions are a third of what a console at rest sends."""
 FRESH_FOR = 1.0
 """s after a question, once it is answered, for which keys count. As `ASKED_EVERY` of it passes until the next question,
 a line may have a round trip of 0.7 s."""
@@ -161,6 +164,16 @@ class Pulse:
         """Whether the next question is to ask for the kind, too: some terminals print what they do not know."""
         oldest = next((at for _, at in self._open), float("inf"))
         return self._tells_kind or self.is_doubted or self._clock() - oldest > FRESH_FOR
+
+    def is_due(self, *, at_rest: bool) -> bool:
+        """Whether it is time for the next question, unless something else has just asked.
+
+        Args:
+            at_rest: whether no screen is open whose keys have an effect.
+        """
+        is_quick = self.round_trip is not None and self.round_trip < ASKED_EVERY
+        every = ASKED_AT_REST if at_rest and is_quick else ASKED_EVERY
+        return self._clock() - self.asked > every - ASKED_EVERY / 2
 
     def question(self) -> str:
         """Return the next question to write, or an empty string if too many wait for an answer."""

@@ -35,8 +35,10 @@ _PLACE, _LOOK = 8, 38
 """Bytes of a sequence that gives a place, and of one that gives two colours of 24 bits."""
 _ERASE_TWO, _LAST_OF_PLANE_0 = "\x1b[2X", 0xFFFF
 """Written before emoji: a terminal that takes them for narrow would leave the second cell as it was."""
-FIRST, USUAL, LAST = range(3)
-"""What is written before what: what a key may have done, the rest, and pictures."""
+FIRST, LINES, USUAL, LAST = range(4)
+"""What is written before what: what a key may have done, the lines around it, the rest, and pictures."""
+_DRAWS_LINES: Final = ("\u2500", "\u257f")
+"""The first and the last of Unicode's box drawings, of three bytes each."""
 _TOP: Final = (FIRST, 0, 0)
 """The rank, row and column with which a frame begins, unless the one before was cut short."""
 
@@ -172,17 +174,26 @@ class ScreenCells:
         columns = slice(region.x, region.right)
         return any(self._wanted[y][columns] != self._shown[y][columns] for y in region.line_range if y in self._changed)
 
-    def next(self, most: float, ranks: Sequence[tuple[Region, int]] = ()) -> ScreenFrame:
+    def begin_at_top(self) -> None:
+        """Begin the next frame with the first row, wherever the last one ended: there is something new to read."""
+        self._begin_at = _TOP
+
+    def next(self, most: float, ranks: Sequence[tuple[Region, int]] = (), *, rest_waits: bool = False) -> ScreenFrame:
         """Return the next frame, and count it as shown.
 
         Args:
             most: bytes, with which it ends once it has something.
             ranks: regions that come before or after what is `USUAL`; the first that has a cell counts.
+            rest_waits: whether what is not `FIRST` or `LINES` is left for later, unless all fits into the frame.
         """
         self._changed = {y for y in self._changed if self._wanted[y] != self._shown[y]}
 
         pen, spans, doubted = _Pen(most, self._look), [], set()
-        for run in self._in_order([*self._runs(ranks)], most):
+        runs = [*self._runs(ranks)]
+        waiting = [run for run in runs if run.rank > LINES] if rest_waits and self._size(runs) > most else []
+        if waiting:
+            runs = [run for run in runs if run.rank <= LINES]
+        for run in self._in_order(runs, most):
             written = pen.write(self._wanted[run.row], run)
             self._look = pen.look
             self._shown[run.row][run.left : written] = cells = self._wanted[run.row][run.left : written]
@@ -195,8 +206,15 @@ class ScreenCells:
                 self._begin_at = run.rank, run.row, written
                 return ScreenFrame(pen.text, spans, run.rank)
         self._begin_at = _TOP
+        if waiting:
+            return ScreenFrame(pen.text, spans, min(run.rank for run in waiting))
         self._changed = doubted
         return ScreenFrame(pen.text, spans, USUAL if doubted else None)
+
+    def _size(self, runs: Sequence[CellRun]) -> int:
+        """Return the bytes of runs, about, if they are written look by look."""
+        looks = {self._look, *(run.look for run in runs if run.rank != LAST)}
+        return sum(run.right - run.left + _PLACE for run in runs) + _LOOK * len(looks)
 
     def _in_order(self, runs: list[CellRun], most: float) -> list[CellRun]:
         """Sort runs by rank from where the last frame ended, or look by look if they fit into one frame.
@@ -205,8 +223,7 @@ class ScreenCells:
         moves. Pictures stay behind all else, row by row, as cells of theirs rarely share a look.
         """
         looks = [*dict.fromkeys((self._look, *(run.look for run in runs if run.rank != LAST)))]
-        size = sum(run.right - run.left + _PLACE for run in runs) + _LOOK * len(looks)
-        if self._begin_at == _TOP and size <= most:
+        if self._begin_at == _TOP and self._size(runs) <= most:
             places = {look: place for place, look in enumerate(looks)}
             return sorted(
                 runs, key=lambda run: (len(looks) if run.rank == LAST else places[run.look], run.row, run.left)
@@ -222,7 +239,8 @@ class ScreenCells:
             edges = {0, len(wanted), *([column] if y == row else [])}
             for left, right, rank in _ranked(y, edges, ranks):
                 for begin, end, look in _differing(wanted, shown, left, right, mixed=rank == LAST):
-                    yield CellRun(rank, y, begin, end, look)
+                    is_line = rank == FIRST and _is_line(wanted[begin:end])
+                    yield CellRun(LINES if is_line else rank, y, begin, end, look)
 
 
 class _Pen:
@@ -350,6 +368,13 @@ def _common(one: CellLook, other: CellLook) -> CellLook | None:
         return None
     inked = one if one.ink else other
     return None if inked.marks_blanks else inked
+
+
+def _is_line(cells: Sequence[Cell]) -> bool:
+    """Whether cells are a part of a box's frame."""
+    first, last = _DRAWS_LINES
+    texts = {text for text, _ in cells} - {" "}
+    return bool(texts) and all(first <= text <= last for text in texts)
 
 
 def _more_cells(cells: Sequence[Cell]) -> int:

@@ -14,7 +14,7 @@ from textual.geometry import Region
 from textual.widgets import Input, TextArea
 from textual.widgets._toast import ToastRack
 
-from rsb_console.terminal.screen_cells import FIRST, LAST, USUAL, ScreenCells
+from rsb_console.terminal.screen_cells import FIRST, LAST, LINES, USUAL, ScreenCells
 from rsb_console.terminal.terminal_line import TerminalLine
 
 if TYPE_CHECKING:
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from rich.color import ColorSystem
     from textual._compositor import ChopsUpdate, LayoutUpdate
     from textual.app import App
+    from textual.screen import Screen
     from textual.widget import Widget
 
     from rsb_console.terminal.driver import ConsoleDriver
@@ -33,8 +34,12 @@ _LOOK_EVERY: Final = 0.02
 _LOOK_AT_LEAST_EVERY, _OF_WAIT = 0.2, 0.1
 """s between two looks at a line that stands still, and the part of its wait that a look may come late: with 50 looks a
 second, a terminal that is stuck takes half as much of the processor again as one that reads."""
+_EFFECT_WITHIN, _NEXT_KEY_AFTER = 0.5, 1.0
+"""s after a key in which a slow line carries the top screen alone: at first the program makes the key's effect, and then
+the line carries it. And s without a key after which the next one is new: repeats of a held one would hold pictures back
+for ever. Round figures."""
 _HEADER: Final = 2
-"""Rows at the top, which tell whether something is armed and how late the line is."""
+"""Rows at the top, which tell whether something is armed, and how late the line is."""
 
 
 class NoTerminal:
@@ -50,6 +55,9 @@ class NoTerminal:
         """Do nothing."""
 
     def forget(self, region: Region | None = None) -> None:
+        """Do nothing."""
+
+    def expect_effect(self) -> None:
         """Do nothing."""
 
     def has(self, region: Region) -> bool:
@@ -86,6 +94,10 @@ class ScreenWriter:
         self._lacking_since: float | None = None
         self._gave_at = time.monotonic()
         self._cursor = (0, 0)
+        self._top: Screen[Any] | None = None
+        self._key_at = self._rest_waits_until = float("-inf")
+        self._only_rest_waits = False
+        """Whether the terminal lacks only what waits until then."""
 
     def use_colours(self, colours: ColorSystem) -> None:
         """Write in other colours from now on."""
@@ -97,10 +109,21 @@ class ScreenWriter:
         if self._next is None:
             self._look_in(_LOOK_EVERY)
 
+    def expect_effect(self) -> None:
+        """Give what a key does before all else, from its top on."""
+        now = time.monotonic()
+        if now - self._key_at > _NEXT_KEY_AFTER:
+            self._rest_waits_until = now + _EFFECT_WITHIN
+            self._cells.begin_at_top()
+        self._key_at = now
+
     def draw(self, update: ChopsUpdate | LayoutUpdate) -> None:
         """Take what Textual has drawn, and write it as soon as the line allows."""
         self._cells.resize(self._app.size)
         self._cells.draw(update)
+        if self._next is not None and self._only_rest_waits:
+            self._next.cancel()
+            self._next = None
         if self._next is None:
             self.give()
 
@@ -112,11 +135,20 @@ class ScreenWriter:
             self._cells.forget()
         if self._driver.is_free:
             self._gave_at = time.monotonic()
-            frame = self._cells.next(self.line.most, [*self._ranks()])
+            if (top := self._app.screen) is not self._top:
+                self._top = top
+                self._cells.begin_at_top()
+            # Above the first screen, a box: what is below only becomes dim, or is a picture.
+            rest_waits = len(self._app.screen_stack) > 1 and self._gave_at < self._rest_waits_until
+            frame = self._cells.next(self.line.most, [*self._ranks()], rest_waits=rest_waits)
             self._write(frame.text, frame.spans)
-            if frame.lacks is None or frame.lacks == LAST:
+            self._only_rest_waits = rest_waits and frame.lacks is not None and frame.lacks > LINES
+            if frame.lacks is None or frame.lacks == LAST or self._only_rest_waits:
                 self._lacking_since = None
             if frame.lacks is None:
+                return
+            if self._only_rest_waits:
+                self._look_in(self._rest_waits_until - self._gave_at)
                 return
         if self._lacking_since is None:
             self._lacking_since = time.monotonic()
@@ -151,7 +183,7 @@ class ScreenWriter:
             if screen is not self._app.screen_stack[0]:
                 rank = FIRST if screen is self._app.screen else USUAL  # those below only become dim
                 yield from ((each.region, rank) for each in screen.children if not isinstance(each, ToastRack))
-        yield Region(0, 0, self._app.size.width, _HEADER), FIRST
+        yield Region(0, 0, self._app.size.width, _HEADER), LINES
 
     def has(self, region: Region) -> bool:
         """Whether the terminal was given all of a region; if no answer will show that it has it, the line is free."""

@@ -148,6 +148,12 @@ class TerminalLine:
             # What was written before the question has arrived; of the rest, what a round trip carries does not wait.
             self._in_flight = max(0.0, self._not_answered - self._trip * self.rate)
 
+    def expect_no_answers(self) -> None:
+        """Note that the terminal, which may be another one, answers nothing: frames wait for the line alone."""
+        with self._lock:
+            self._asked.clear()
+            self._trip = None
+
     def waited(self, size: int, seconds: float) -> None:
         """Note that the kernel let a write wait: its buffer is full, and only the line empties it."""
         with self._lock:
@@ -248,8 +254,7 @@ class TerminalLine:
             if is_carried and not is_tried and not (self._is_to_empty and self._asked):
                 return True
             if self._overdue > _GIVEN_UP_AFTER:
-                self._asked.clear()
-                self._trip = None
+                self.expect_no_answers()
             if self._full_since is None:
                 self._full_since = self._at
             elif not self.answers and self._at - self._full_since > (_AGAIN_AFTER if self._kernels else _FASTER_AFTER):

@@ -288,6 +288,9 @@ class DriveScreen(GuardedScreen, SideBox[None]):
         return Spacing(0, 0, self._pane.outer_size.height, 0)
 
     def on_mount(self) -> None:
+        # Before the box is laid out: it would get another size later, and be sent twice.
+        self.set_class(self.app.size.width >= _WIDE, "-wide")
+        self._draw()
         self.set_interval(0.1, self._draw)
         self._drive()
 
@@ -459,7 +462,7 @@ class DriveScreen(GuardedScreen, SideBox[None]):
         lines = (Content(first), *driving, state, *map(Content, (*self._limited(), *others)))
         drive = f"hold {_WAYS_SHOWN} to drive" if self._is_relayed() else f"{_WAYS_SHOWN} drive"
         keys = (drive, *_KEYS)
-        is_wide = self.size.width >= _WIDE
+        is_wide = self.app.size.width >= _WIDE
         if is_wide:  # at the side, a line is short
             drive = f"hold {_ARROWS} to drive, or one of" if self._is_relayed() else f"{_ARROWS} drive, or one of"
             lines += (Content(""), *(Content.styled(key, "$quiet") for key in (drive, *_WAYS_BOX, *_KEYS)))

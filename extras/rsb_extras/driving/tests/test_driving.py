@@ -9,6 +9,8 @@ from typing import Any, cast
 
 import pytest
 from tests.console.driving import (
+    NARROW,
+    WIDE,
     Decorator,
     engine_as,
     gone,
@@ -22,6 +24,7 @@ from tests.console.driving import (
 )
 from tests.console.scripted import SESSION, route
 from tests.support import replaced
+from tests.support.heights import heights_of
 from tests.support.wording import says
 from textual.events import Key
 from textual.pilot import Pilot
@@ -230,6 +233,19 @@ async def test_a_key_that_was_held_up_moves_nothing(app: ConsoleApp, pilot: Pilo
     clock.now = time.monotonic()
     app.post_message(event)
     assert await rests(app, pilot, clock) == 0
+
+
+@on_main(NARROW, WIDE, landmark=ARMED.topic, make_engine=robot_of(ARMED))
+async def test_box_has_its_height_at_once(
+    app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else a slow line would carry it twice."""
+    heights = heights_of("#drive", monkeypatch)
+    await pilot.press("D")
+    await until(pilot, lambda: isinstance(app.screen, DriveScreen), "the screen")
+    await shown(pilot, DriveText.NO_KEY)
+    await pilot.pause(0.3)
+    assert heights == [app.screen.query_one("#drive").outer_size.height]
 
 
 @driven()
