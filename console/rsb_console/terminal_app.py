@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import gc
+import inspect
 import os
 import signal
 import threading
@@ -18,7 +20,7 @@ from rich.console import COLOR_SYSTEMS
 from textual import events, work
 from textual._compositor import ChopsUpdate, LayoutUpdate
 from textual.app import App, ReturnType
-from textual.screen import SystemModalScreen
+from textual.screen import Screen, SystemModalScreen
 from textual.signal import Signal
 
 from rsb_bridge.config.files import make_folder, owner_only, remove_file
@@ -53,13 +55,14 @@ if TYPE_CHECKING:
 
     from rich.console import RenderableType
     from textual.filter import LineFilter
-    from textual.screen import Screen
     from textual.widget import Widget
 
     from rsb_console.preferences import Setting
     from rsb_console.terminal.terminal_facts import TerminalFacts
 
 T = TypeVar("T")
+_PREPARES_AFTER = 1.0
+"""s after the first picture. A round figure: what the console shows at first is there by then."""
 _ENDS_WITHIN = 10.0
 """s. A round figure: with much less, a busy machine would leave the terminal as the app has it."""
 
@@ -165,6 +168,23 @@ class TerminalApp(App[ReturnType]):
         if isinstance(self._driver, ConsoleDriver):
             self.input_gate.pulse = self._driver.pulse
             self.set_interval(ASKED_EVERY, self._look_at_terminal)
+            self.set_timer(_PREPARES_AFTER, self._prepare)
+
+    def _prepare(self) -> None:
+        """Do what would hold up the first key that opens a box: 0.2 s of a core, on a busy machine a second."""
+        self.read_styles()
+        gc.collect()
+        gc.freeze()  # a collection of everything holds up a key for 0.07 s
+
+    def read_styles(self) -> None:
+        """Read the styles of all screens. With those of each new one, Textual reads all again."""
+        kinds: list[type[Screen[Any]]] = [Screen]
+        for kind in kinds:
+            kinds += kind.__subclasses__()
+            if vars(kind).get("CSS"):
+                place, scope = (inspect.getfile(kind), f"{kind.__name__}.CSS"), kind._css_type_name
+                self.stylesheet.add_source(kind.CSS, read_from=place, scope=scope if kind.SCOPED_CSS else "")
+        self.stylesheet.update(self)
 
     def _look_at_terminal(self) -> None:
         if isinstance(self._driver, ConsoleDriver):

@@ -7,6 +7,7 @@ import time
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, cast
 
+import pytest
 from rich.color import ColorSystem
 from tests.console.driving import NARROW, WIDE, on_main, until
 from tests.support.heights import heights_of
@@ -22,7 +23,6 @@ from rsb_console.terminal.terminal_line import TerminalLine
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    import pytest
     from textual.app import ComposeResult
     from textual.pilot import Pilot
 
@@ -34,6 +34,12 @@ class Box(ModalScreen[None]):
 
     def compose(self) -> ComposeResult:
         yield Static("box", id="box")
+
+
+class Coloured(Box):
+    """A box with a style of its own."""
+
+    CSS = "#box { background: #0000ff; }"
 
 
 @on_main()
@@ -69,9 +75,7 @@ async def test_key_has_its_effect_before_what_is_below_the_box(
     rows: list[int] = []
     line = TerminalLine(lambda: now[0], rate=1_920)
     driver: Any = SimpleNamespace(line=line, losses=0, is_free=True, late=0.0, write_frame=lambda *_, **__: None)
-    writer = ScreenWriter(
-        app, driver, ColorSystem.TRUECOLOR, (), lambda spans: rows.extend(y for y, *_ in spans)
-    )
+    writer = ScreenWriter(app, driver, ColorSystem.TRUECOLOR, (), lambda spans: rows.extend(y for y, *_ in spans))
     writer._cells.resize(app.size)
     writer.expect_effect()
     region = box.query_one("#box").region
@@ -123,3 +127,15 @@ def test_line_that_stands_still_is_looked_at_less_often(monkeypatch: pytest.Monk
     assert waits[0] < 0.05
     assert now[0] > 105.0
     assert waits[-1] < 0.5
+
+
+@on_main()
+async def test_styles_of_screens_are_read_before_a_key_opens_one(
+    app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Reading all anew with each takes so long that the key seems lost."""
+    app.read_styles()
+    monkeypatch.setattr(app.stylesheet, "reparse", lambda: pytest.fail("all styles are read again"))
+    app.push_screen(box := Coloured())
+    await until(pilot, lambda: bool(box.query("#box")) and box.is_current, "a box")
+    assert box.query_one("#box").styles.background.hex == "#0000FF"

@@ -35,9 +35,8 @@ _LOOK_AT_LEAST_EVERY, _OF_WAIT = 0.2, 0.1
 """s between two looks at a line that stands still, and the part of its wait that a look may come late: with 50 looks a
 second, a terminal that is stuck takes half as much of the processor again as one that reads."""
 _EFFECT_WITHIN, _NEXT_KEY_AFTER = 0.5, 1.0
-"""s after a key in which a slow line carries the top screen alone: at first the program makes the key's effect, and then
-the line carries it. And s without a key after which the next one is new: repeats of a held one would hold pictures back
-for ever. Round figures."""
+"""s after a key in which a slow line carries the top screen alone: until the key's effect is made, and carried. And s
+without a key after which the next one is new: else repeats of a held one hold pictures back. Round figures."""
 _HEADER: Final = 2
 """Rows at the top, which tell whether something is armed, and how late the line is."""
 

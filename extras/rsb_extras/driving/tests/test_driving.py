@@ -236,9 +236,7 @@ async def test_a_key_that_was_held_up_moves_nothing(app: ConsoleApp, pilot: Pilo
 
 
 @on_main(NARROW, WIDE, landmark=ARMED.topic, make_engine=robot_of(ARMED))
-async def test_box_has_its_height_at_once(
-    app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_box_has_its_height_at_once(app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch) -> None:
     """Else a slow line would carry it twice."""
     heights = heights_of("#drive", monkeypatch)
     await pilot.press("D")
