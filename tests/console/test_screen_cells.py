@@ -259,6 +259,14 @@ def test_rest_of_a_screen_waits_unless_all_fits() -> None:
     assert ours.next(INF, ranks, rest_waits=True).lacks is None
 
 
+def test_picture_waits_whose_cells_have_looks_of_their_own() -> None:
+    ours, picture = screen_cells(), Region(0, 0, SIZE.width, SIZE.height)
+    ours.next(INF)
+    drawn(ours, *((0, x, "▀", Style(color=f"#{x:02}4060", bgcolor="#a0b0c0")) for x in range(SIZE.width)))
+    frame = ours.next(200, [(picture, LAST)], rest_waits=True)
+    assert (frame.text, frame.lacks) == ("", LAST)
+
+
 def test_new_thing_is_written_from_its_top_on() -> None:
     ours = screen_cells()
     ours.next(INF)

@@ -212,9 +212,10 @@ class ScreenCells:
         return ScreenFrame(pen.text, spans, USUAL if doubted else None)
 
     def _size(self, runs: Sequence[CellRun]) -> int:
-        """Return the bytes of runs, about, if they are written look by look."""
+        """Return the bytes of runs, about, if they are written look by look; each cell of a picture has its own."""
         looks = {self._look, *(run.look for run in runs if run.rank != LAST)}
-        return sum(run.right - run.left + _PLACE for run in runs) + _LOOK * len(looks)
+        cells = sum((run.right - run.left) * (_LOOK if run.rank == LAST else 1) for run in runs)
+        return cells + _PLACE * len(runs) + _LOOK * len(looks)
 
     def _in_order(self, runs: list[CellRun], most: float) -> list[CellRun]:
         """Sort runs by rank from where the last frame ended, or look by look if they fit into one frame.
