@@ -205,7 +205,7 @@ def _press_all(terminal: SlowTerminal, scene: Scene, within: float, rate: float 
     try:
         *first, last = scene.help
         press("?", _has(_HELP, *first), _has(_HELP, *first, last, without=scene.last))
-        press("q", _has(scene.first, without=_HELP), _has(scene.first, scene.last, without=last))
+        press("q", _has(scene.first, without=_HELP), _has(scene.first, scene.last, without=_HELP))
         press(scene.drives, _has("Drive /cmd_vel", _DISARMED), _has("Drive /cmd_vel", _DISARMED, "esc leave"))
         press("A", _asks, lambda lines: _asks(lines) and _has("From now on", "disarms when")(lines))
         _agree(terminal)

@@ -32,7 +32,7 @@ pieces = st.lists(
     st.tuples(
         st.integers(0, SIZE.height - 1),
         st.integers(0, SIZE.width - 6),
-        st.text("ab ▇─é網", min_size=1, max_size=3),
+        st.text("ab ▇─é網", min_size=1, max_size=3) | st.just(" " * 18),
         st.sampled_from(STYLES),
     ),
     max_size=6,
@@ -73,10 +73,11 @@ def _seen(char: pyte.screens.Char) -> tuple[object, ...]:
     return (char.data, *marks) if char.data == " " and not char.reverse else (char.data, *marks, char.fg, char.bold)
 
 
-@given(st.lists(pieces, min_size=1, max_size=5), st.integers(1, 60))
-def test_terminal_shows_what_was_drawn(turns: Sequence[Sequence[Piece]], most: int) -> None:
+@given(st.lists(pieces, min_size=1, max_size=5), st.integers(1, 60), st.booleans())
+def test_terminal_shows_what_was_drawn(turns: Sequence[Sequence[Piece]], most: int, erases: bool) -> None:
     """In small frames, after several changes, it shows the same as after one frame of the last screen alone."""
     ours, whole = screen_cells(), screen_cells()
+    ours.erases = erases
     by_frames, at_once = Emulator(), Emulator()
     ours.forget()
     whole.forget()
@@ -265,6 +266,21 @@ def test_picture_waits_whose_cells_have_looks_of_their_own() -> None:
     drawn(ours, *((0, x, "▀", Style(color=f"#{x:02}4060", bgcolor="#a0b0c0")) for x in range(SIZE.width)))
     frame = ours.next(200, [(picture, LAST)], rest_waits=True)
     assert (frame.text, frame.lacks) == ("", LAST)
+
+
+@pytest.mark.parametrize("style", [PLAIN, COLOURED, REVERSE, Style(underline=True)])
+def test_many_blanks_are_erased_where_that_looks_the_same(style: Style) -> None:
+    ours, emulator = screen_cells(), Emulator()
+    drawn(ours, *((y, 0, "x" * SIZE.width, BOLD) for y in range(SIZE.height)))
+    emulator.take(ours.next(INF).text)
+    ours.erases = True
+    drawn(ours, (1, 2, " " * 15 + "end", style))
+    frame = ours.next(INF)
+    emulator.take(frame.text)
+    assert emulator.screen.display[1] == "xx" + " " * 15 + "end" + "x" * 4
+    marks = style.reverse or style.underline
+    assert ("\x1b[15X" in frame.text) is not bool(marks)
+    assert (" " * 15 in frame.text) is bool(marks)
 
 
 def test_new_thing_is_written_from_its_top_on() -> None:

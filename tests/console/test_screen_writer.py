@@ -74,7 +74,7 @@ async def test_key_has_its_effect_before_what_is_below_the_box(
     monkeypatch.setattr(asyncio, "get_running_loop", lambda: loop)
     rows: list[int] = []
     line = TerminalLine(lambda: now[0], rate=1_920)
-    driver: Any = SimpleNamespace(line=line, losses=0, is_free=True, late=0.0, write_frame=lambda *_, **__: None)
+    driver: Any = SimpleNamespace(line=line, losses=0, is_free=True, erases=False, late=0.0, write_frame=lambda *_, **__: None)
     writer = ScreenWriter(app, driver, ColorSystem.TRUECOLOR, (), lambda spans: rows.extend(y for y, *_ in spans))
     writer._cells.resize(app.size)
     writer.expect_effect()
@@ -118,7 +118,7 @@ def test_line_that_stands_still_is_looked_at_less_often(monkeypatch: pytest.Monk
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
     monkeypatch.setattr(asyncio, "get_running_loop", lambda: SimpleNamespace(call_later=call_later))
     app = cast("Any", SimpleNamespace())
-    driver = cast("Any", SimpleNamespace(line=None, losses=0, is_free=False))
+    driver = cast("Any", SimpleNamespace(line=None, losses=0, is_free=False, erases=False))
     writer = ScreenWriter(app, driver, ColorSystem.TRUECOLOR, (), lambda _: None)
     writer.give()
     for _ in range(100):

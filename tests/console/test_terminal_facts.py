@@ -151,19 +151,23 @@ def test_terminal_that_would_print_questions_is_not_asked() -> None:
 
 
 @pytest.mark.parametrize(
-    ("environ", "colours"),
+    ("environ", "colours", "erases"),
     [
-        ({"TERM": "xterm"}, 16),
-        ({"TERM": "xterm-256color"}, 256),
-        ({"TERM": "xterm", "COLORTERM": "truecolor"}, TRUE_COLOUR),
-        ({"TERM": "dumb", "COLORTERM": "truecolor"}, 0),
-        ({"TERM": "alacritty"}, 256),
-        ({}, 0),
+        ({"TERM": "xterm"}, 16, True),
+        ({"TERM": "xterm-256color"}, 256, True),
+        ({"TERM": "xterm", "COLORTERM": "truecolor"}, TRUE_COLOUR, True),
+        ({"TERM": "dumb", "COLORTERM": "truecolor"}, 0, False),
+        ({"TERM": "alacritty"}, 256, True),
+        ({"TERM": "screen-256color"}, 256, False),
+        ({"TERM": "vt220"}, 16, False),
+        ({}, 0, False),
     ],
 )
-def test_environment_is_what_is_known_first(environ: dict[str, str], colours: int) -> None:
+def test_environment_is_what_is_known_first(environ: dict[str, str], colours: int, erases: bool) -> None:
     with Path(os.devnull).open() as no_terminal:
-        assert facts_before_answers(environ, no_terminal.fileno()) == TerminalFacts(colours=colours)
+        facts = facts_before_answers(environ, no_terminal.fileno())
+    assert facts == TerminalFacts(colours=colours, erases=erases)
+    assert not facts.of_kind("83;40900;0").erases, "GNU screen, whatever TERM says"
 
 
 def test_user_knows_better_than_terminal() -> None:

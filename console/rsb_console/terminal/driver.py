@@ -380,6 +380,13 @@ class ConsoleDriver(LinuxDriver):
         """Whether it is known what the terminal can show that is there now."""
         return self.pulse.round_trip is None or self._known.is_known
 
+    @property
+    def erases(self) -> bool:
+        """Whether cells that the terminal erases get the present paper, as if blanks were written."""
+        facts = self._known.facts
+        # TERM alone proves nothing, and sixels go with text only.
+        return facts.erases and facts.kind != "" and facts.pixels != "sixel"
+
     def _doubt(self) -> None:
         """Note that another terminal may be there, which has none of what was written. Signal handlers may call this.
 

@@ -33,6 +33,8 @@ _JUMP: Final = 6
 """Cells that are written again rather than jumped over: a sequence that jumps is as long."""
 _PLACE, _LOOK = 8, 38
 """Bytes of a sequence that gives a place, and of one that gives two colours of 24 bits."""
+_ERASED: Final = 12
+"""Blank cells from which on a sequence that erases them, and one that jumps over them, are shorter."""
 _ERASE_TWO, _LAST_OF_PLANE_0 = "\x1b[2X", 0xFFFF
 """Written before emoji: a terminal that takes them for narrow would leave the second cell as it was."""
 FIRST, LINES, USUAL, LAST = range(4)
@@ -111,10 +113,14 @@ class ScreenCells:
 
     Args:
         colours: the terminal's colours.
+
+    Attributes:
+        erases: whether the terminal gives cells that it erases the present paper.
     """
 
     def __init__(self, colours: ColorSystem) -> None:
         self.colours = colours
+        self.erases = False
         self._wanted: list[list[Cell]] = []
         self._shown: list[list[Cell | None]] = []
         self._changed: set[int] = set()
@@ -188,7 +194,7 @@ class ScreenCells:
         """
         self._changed = {y for y in self._changed if self._wanted[y] != self._shown[y]}
 
-        pen, spans, doubted = _Pen(most, self._look), [], set()
+        pen, spans, doubted = _Pen(most, self._look, erases=self.erases), [], set()
         runs = [*self._runs(ranks)]
         waiting = [run for run in runs if run.rank > LINES] if rest_waits and self._size(runs) > most else []
         if waiting:
@@ -251,9 +257,10 @@ class _Pen:
         look: the look that the terminal has after what is written, or None if it is unknown.
     """
 
-    def __init__(self, most: float, look: CellLook | None) -> None:
+    def __init__(self, most: float, look: CellLook | None, *, erases: bool) -> None:
         self.look = look
         self._most = most
+        self._erases = erases
         self._parts: list[str] = []
         self._size = 0
         self._at: tuple[int, int] | None = None
@@ -265,14 +272,19 @@ class _Pen:
 
     def write(self, row: Sequence[Cell], run: CellRun) -> int:
         """Write a run, or a part of it; return the column behind the last one that was written."""
+        done = run.left
         for x in range(run.left, run.right):
             text, look = row[x]
-            if not text:
+            if not text or x < done:
                 continue
             if self._size >= self._most:
                 return x
             self._move(run.row, x)
             self._take(look)
+            if self._erases and (blanks := _blanks(row, x, run.right)) >= _ERASED:
+                self._add(f"\x1b[{blanks}X")
+                done = x + blanks
+                continue
             is_wide = x + 1 < len(row) and row[x + 1].text == ""
             if is_wide and (len(text) > 1 or ord(text) > _LAST_OF_PLANE_0):
                 self._add(_ERASE_TWO)
@@ -376,6 +388,13 @@ def _is_line(cells: Sequence[Cell]) -> bool:
     first, last = _DRAWS_LINES
     texts = {text for text, _ in cells} - {" "}
     return bool(texts) and all(first <= text <= last for text in texts)
+
+
+def _blanks(row: Sequence[Cell], left: int, right: int) -> int:
+    """Return how many cells from one on are blank and show the same paper."""
+    if row[left].text != " " or row[left].look.ink:
+        return 0
+    return next((x for x in range(left, right) if row[x] != row[left]), right) - left
 
 
 def _more_cells(cells: Sequence[Cell]) -> int:

@@ -137,6 +137,7 @@ class ScreenWriter:
             if (top := self._app.screen) is not self._top:
                 self._top = top
                 self._cells.begin_at_top()
+            self._cells.erases = self._driver.erases
             # Above the first screen, a box: what is below only becomes dim, or is a picture.
             rest_waits = len(self._app.screen_stack) > 1 and self._gave_at < self._rest_waits_until
             frame = self._cells.next(self.line.most, [*self._ranks()], rest_waits=rest_waits)

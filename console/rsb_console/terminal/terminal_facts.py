@@ -49,6 +49,9 @@ _TERMINALS: Final = (
     "contour",
 )  # fmt: skip
 """The beginnings of TERM of terminals that swallow a question that they do not know."""
+_PAINT_ERASED: Final = ("xterm", "konsole", "gnome", "vte", "putty", "rxvt", "alacritty")
+"""The beginnings of TERM of terminals whose erased cells get the present paper: ``ech`` and ``bce`` of terminfo. kitty,
+whose entry lacks the second, does so, too."""
 _EMULATORS: Final = 90
 """The least version of an emulator (DA2); that of a VT is the version of its ROM, times ten: VT220 to VT525 have 10 to
 30."""
@@ -99,6 +102,7 @@ class TerminalFacts:
         light: whether its background is light, or None.
         answered: whether it has answered the last of `QUESTIONS`.
         ascii_only: whether it may have no other characters, as its kind tells.
+        erases: whether it can erase some cells, which get the present paper.
     """
 
     name: str = ""
@@ -109,6 +113,7 @@ class TerminalFacts:
     light: bool | None = None
     answered: bool = False
     ascii_only: bool = False
+    erases: bool = False
 
     @property
     def colour_system(self) -> str:
@@ -151,7 +156,8 @@ class TerminalFacts:
 
     def of_kind(self, kind: str) -> TerminalFacts:
         """Return the facts with the terminal's kind, the parameters of its answer to DA2."""
-        return replace(self, kind=kind, colours=TRUE_COLOUR if kind == _PUTTY else self.colours)
+        erases = self.erases and kind.partition(";")[0] != _SCREEN
+        return replace(self, kind=kind, colours=TRUE_COLOUR if kind == _PUTTY else self.colours, erases=erases)
 
     @property
     def can_be_asked_more(self) -> bool:
@@ -241,7 +247,7 @@ def facts_before_answers(environ: Mapping[str, str], terminal: int) -> TerminalF
         colours = 256
     else:
         colours = 16
-    return TerminalFacts(colours=colours, cell=cell_by_kernel(terminal))
+    return TerminalFacts(colours=colours, cell=cell_by_kernel(terminal), erases=term.startswith(_PAINT_ERASED))
 
 
 def ask(facts: TerminalFacts, environ: Mapping[str, str], read_from: int, write_to: int) -> TerminalFacts:
