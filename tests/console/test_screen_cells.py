@@ -243,7 +243,7 @@ def test_frame_of_a_box_comes_after_its_text() -> None:
     ours, box = screen_cells(), Region(0, 0, 10, 3)
     ours.next(INF)
     drawn(ours, (0, 0, "╭─", COLOURED), (0, 2, "Help", BOLD), (0, 6, "───╮", COLOURED), (1, 1, "text", PLAIN))
-    spans = []
+    spans: list[tuple[int, int, int]] = []
     while (frame := ours.next(1, [(box, FIRST)])).lacks is not None:
         spans += frame.spans
         assert frame.lacks == (FIRST if len(spans) < 8 else LINES)

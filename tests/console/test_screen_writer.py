@@ -68,13 +68,17 @@ async def test_key_has_its_effect_before_what_is_below_the_box(
     app.push_screen(box := Box())
     await until(pilot, lambda: bool(box.query("#box")) and box.is_current, "a box")
     now, looks = [100.0], list[float]()
-    timer = SimpleNamespace(cancel=lambda: None)
-    loop = SimpleNamespace(call_later=lambda seconds, _call: looks.append(seconds) or timer)
+
+    def call_later(seconds: float, _call: Callable[[], None]) -> object:
+        looks.append(seconds)
+        return SimpleNamespace(cancel=lambda: None)
+
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
-    monkeypatch.setattr(asyncio, "get_running_loop", lambda: loop)
+    monkeypatch.setattr(asyncio, "get_running_loop", lambda: SimpleNamespace(call_later=call_later))
     rows: list[int] = []
     line = TerminalLine(lambda: now[0], rate=1_920)
-    driver: Any = SimpleNamespace(line=line, losses=0, is_free=True, erases=False, late=0.0, write_frame=lambda *_, **__: None)
+    driver: Any = SimpleNamespace(line=line, losses=0, is_free=True, erases=False, late=0.0)
+    driver.write_frame = lambda *_, **__: None
     writer = ScreenWriter(app, driver, ColorSystem.TRUECOLOR, (), lambda spans: rows.extend(y for y, *_ in spans))
     writer._cells.resize(app.size)
     writer.expect_effect()
