@@ -34,7 +34,6 @@ from rsb_bridge.route.topic_facts import SenderFacts
 from rsb_bridge.route.topic_flow import TopicFlow
 from rsb_bridge.route.topic_subscription import TopicSubscription
 from rsb_bridge.route.topic_verdict import OF_SENDER
-from rsb_bridge.wire.headers import publisher_id
 from rsb_bridge.wire.messages import Describe, Publishers, Ready
 from rsb_bridge.wire.records import MOST_PUBLISHERS, ReceivedReport, SentReport
 
@@ -229,10 +228,8 @@ class Sender:
             return
         present = {}
         if (histories := self.subscription.histories) is not None:
-            gids = histories.forget_gone({endpoint.gid for endpoint in self.carried.endpoints})
-            depths = histories.depths()
-            ids = islice(map(publisher_id, gids), MOST_PUBLISHERS)
-            present = {each: depths.get(each, 0) for each in ids}
+            depths = histories.present({endpoint.gid for endpoint in self.carried.endpoints})
+            present = dict(islice(depths.items(), MOST_PUBLISHERS))
         told = Publishers(route=self.route.id, present=present, alive=self.subscription.alive)
         if told != self._told:
             self._told = told
