@@ -205,7 +205,7 @@ class RouteTable(Extension):
 
     def _tell_rate(self, route: Route) -> None:
         if route.id:
-            self._link.send(wire.Limit(route=route.id, max_rate=route.limit.here))
+            self._link.send(wire.Limit(route=route.id, max_rate=route.limit.own))
 
     def _tell_end(self, route: Route, code: EndCode, reason: str, who: str = "") -> None:
         """Tell the peer how a route ends; a closed one is named by its last id."""
@@ -482,7 +482,7 @@ class RouteTable(Extension):
         raise RefusedError("listed_too", Denied.LISTED_TOO(topic=theirs.topic))
 
     def _accepted(self, route: Route) -> None:
-        if route.limit.here:
+        if route.limit.own:
             self._tell_rate(route)
         route.on_accepted()
 

@@ -11,7 +11,7 @@ import numpy as np
 from rsb_bridge.model.text import sanitize_text, single_cells
 from rsb_bridge.model.wording import Wording
 from rsb_extras.pictures.drawing import Canvas, Drawn, UndrawableError, View, elements, number, text
-from rsb_extras.pictures.grids import Grid, Sheet, ground, lay_under, read_grid
+from rsb_extras.pictures.grids import INSCRIBED_TINT, Grid, Sheet, ground, has_inscribed, lay_under, read_grid
 from rsb_extras.pictures.markers import Markers, draw_markers, points_of
 from rsb_extras.pictures.picture import TOPICS_AT_ONCE, Scale
 from rsb_extras.pictures.points import cloud_points, put_dots, scan_points
@@ -146,14 +146,18 @@ class MapView(View):
                 _draw_pose(canvas, paper, place.after(layer.pose), layer.style)
         for place in robots.values():
             _draw_pose(canvas, paper, place, "robot")
+        legend = self._legend(placed, robots)
         grids = [(layer.grid, place) for _, layer, place in placed if layer.grid is not None]
         if grids:
-            lay_under(canvas, self._kinds(grids, paper, wish))
+            kinds = self._kinds(grids, paper, wish)
+            lay_under(canvas, kinds)
+            if has_inscribed(kinds):  # a bright bar, which nobody should take for a goal
+                legend.append(("█", f"@{INSCRIBED_TINT}", "inscribed"))
         if canvas.height > _LOW:
             canvas.clear_row(canvas.height - 1)
         column = canvas.scale_bar(paper.metres * Canvas.ACROSS)
         if canvas.height > _LOW:
-            _write_legend(canvas, column, self._legend(placed, robots))
+            _write_legend(canvas, column, legend)
         notes = [f"frame {target}", *(layer.note for _, layer, _ in placed if layer.note)]
         notes += [
             MapProblem.OLD(frame=frame, age=age) for frame in robots if (age := now - self._tree.oldest(frame)) > _LOST
