@@ -283,7 +283,7 @@ def check_features(use: Use, session: Session) -> None:
         try:
             refusal = feature.refusal(session, use.topic)
         except Exception as error:  # noqa: BLE001 -- of code that is not ours
-            failed(feature, "refusal", error)
+            failed(feature.name, "refusal", error)
             continue
         if refusal:
             raise LinkError(refusal)

@@ -523,6 +523,14 @@ class Route:
             self._verdict = self._judged(now, self.crossing)
         return self._verdict
 
+    def verdict_for_peer(self) -> Verdict:
+        """Return this side's verdict without those that are for this side only."""
+        own = self.verdict()
+        if not own.here:
+            return own
+        verdict = judge(self.half.facts, self.crossing, self.half.rules, for_peer=True)
+        return self._lossy_path.steady(verdict, self.peer.path.fault, self.context.now())
+
     def _judged(self, now: float, crossing: Crossing) -> Verdict:
         return self._lossy_path.steady(judge(self.half.facts, crossing, self.half.rules), self.peer.path.fault, now)
 
