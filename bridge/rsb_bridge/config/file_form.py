@@ -1,7 +1,7 @@
 """A session in the form of its file, where services, actions and parameters have lists and keys of their own.
 
-`rsb_bridge.model.session` has all of them as topics of another kind, so that they share all code for topics. `KEYS`
-defines the entries of each kind, for reading and for writing.
+`rsb_bridge.model.session` has all of them as topics of another kind, so that they share all code for topics. The
+entries of each kind, for reading and for writing, follow from `rsb_bridge.model.topic_keys`.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from msgspec.structs import FieldInfo, fields
 
 from rsb_bridge.feature import BRINGS, SessionKey
 from rsb_bridge.model.session import Client, Direction, Kind, Provider, Session, Topic, peer_keys, session_keys
-from rsb_bridge.model.topic_keys import ForeignKey
+from rsb_bridge.model.topic_keys import TOPIC_KEYS, ForeignKey
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -35,35 +35,23 @@ _PROVIDERS: dict[Any, Provider] = {"transmit": "server", "receive": "client"}
 DIRECTIONS: Final[dict[Any, Direction]] = {provider: direction for direction, provider in _PROVIDERS.items()}
 """The direction of requests, by which side's node answers."""
 
+
+def _renamed(name: str) -> dict[str, str]:
+    """Return the keys of calls that have other names than their fields; `name` is that of the called."""
+    return {"topic": name, "direction": "provider", "remote_topic": f"remote_{name}", "excepts": "except"}
+
+
+_RENAMED: Final[dict[Kind, dict[str, str]]] = {
+    kind: {"excepts": "except"} if kind == "topic" else _renamed(NAME_KEYS[name]) for kind, name in LISTS.items()
+}
 KEYS: Final[dict[Kind, dict[str, str]]] = {
-    "topic": {
-        "topic": "topic", "direction": "direction", "type": "type", "protocol": "protocol", "port": "port",
-        "qos": "qos", "remote_topic": "remote_topic", "compression": "compression", "max_rate": "max_rate",
-        "expected_rate": "expected_rate", "stale_after": "stale_after", "late_after": "late_after",
-        "max_age": "max_age", "paused": "paused", "arm": "arm", "deadman": "deadman", "on_end": "on_end",
-        "limits": "limits", "priority": "priority", "keep": "keep", "lazy": "lazy", "renew": "renew",
-        "beat": "beat",
-        "except": "excepts",
-    },
-    "service": {
-        "service": "topic", "provider": "direction", "type": "type", "timeout": "timeout", "protocol": "protocol",
-        "port": "port", "remote_service": "remote_topic", "compression": "compression", "max_rate": "max_rate",
-        "max_age": "max_age", "paused": "paused", "arm": "arm", "deadman": "deadman", "on_end": "on_end",
-        "except": "excepts",
-    },
-    "action": {
-        "action": "topic", "provider": "direction", "type": "type", "timeout": "timeout", "protocol": "protocol",
-        "port": "port", "remote_action": "remote_topic", "compression": "compression", "max_rate": "max_rate",
-        "max_age": "max_age", "paused": "paused", "arm": "arm", "deadman": "deadman", "on_end": "on_end",
-        "except": "excepts",
-    },
-    "parameters": {
-        "node": "topic", "provider": "direction", "timeout": "timeout", "protocol": "protocol",
-        "port": "port", "remote_node": "remote_topic", "compression": "compression", "max_rate": "max_rate",
-        "max_age": "max_age", "paused": "paused", "arm": "arm", "deadman": "deadman", "on_end": "on_end",
-        "except": "excepts",
-    },
-}  # fmt: skip
+    kind: {
+        _RENAMED[kind].get(field, field): field
+        for field in Topic.__struct_fields__
+        if field in TOPIC_KEYS and TOPIC_KEYS[field].is_of(kind)
+    }
+    for kind in LISTS
+}
 """The fields of `Topic` by the keys of an entry, in the order in which one is written."""
 
 _NOT_OF_TOPICS = {

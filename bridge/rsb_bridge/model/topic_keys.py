@@ -85,6 +85,8 @@ class TopicKey:
     options: tuple[tuple[str, str], ...] = ()  # the choices of its field, each a value and a label
 
     def is_of(self, kind: Kind) -> bool:
+        if kind == "parameters" and self.name == "type":
+            return False  # ROS's own
         return self.kinds == "all" or (self.kinds == "topics") == (kind == "topic")
 
     def allows(self, value: float | None) -> bool:
