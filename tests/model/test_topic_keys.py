@@ -16,7 +16,7 @@ _FIELDS = {field.name: field for field in msgspec.structs.fields(Topic)}
 
 
 def test_each_field_is_a_key() -> None:
-    assert TOPIC_KEYS.keys() == _FIELDS.keys() - {"kind"}
+    assert TOPIC_KEYS.keys() == _FIELDS.keys() - {"kind", "features"}
 
 
 @pytest.mark.parametrize("kind", LISTS)
@@ -33,7 +33,7 @@ def test_the_documentation_has_each_key(kind: Kind) -> None:
 
 
 def test_what_is_live_can_be_amended() -> None:
-    live = {name for name, key in TOPIC_KEYS.items() if key.live}
+    live = {name for name, key in TOPIC_KEYS.items() if key.live} | {"features"}
     assert live == set(Amend.__struct_fields__) - {"route", "who"}
     assert live <= set(Propose.__struct_fields__)
 

@@ -213,6 +213,7 @@ class Denied(Wording):
     AGE_OF_ARMED = "{topic} has to be armed: let it have older messages on the side that lists it"
     PORT_OF_SERVER = "{topic} is listed on the server, and so is its port: change that there"
     LIMITS_OF_PEER = "the other side lists {topic}: set its limits there, or here under armed"
+    KEY_OF_SIDE = "the other side lists {topic}, and {keys} is no key for the other side: set it there, in its session"
     EDIT_THAT_ROUTE = "{topic} is bridged in that direction already: edit or remove that route"
     FOLLOWED_ALREADY = "{topic} is followed in that direction already: edit or remove that pattern"
     TOO_MANY_PATTERNS = "this link has {limit} patterns already, which is the limit"

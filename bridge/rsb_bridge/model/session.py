@@ -144,11 +144,16 @@ class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
     """The name that topics share whose limits choose the same stamps, or None for none, and of a pattern its own."""
     excepts: tuple[str, ...] = ()
     """Names on the client that a pattern leaves out, patterns or not; ``except`` in a file."""
+    features: dict[str, bool | float | str] = {}
+    """Values of the features' keys, by name, without defaults (`feature.EntryKey.of`)."""
 
     def __post_init__(self) -> None:
         _write_out(self)
         if isinstance(self.keep, Keep) and self.keep.megabytes is None:  # one form, so that entries can be compared
             msgspec.structs.force_setattr(self, "keep", self.keep.seconds)
+
+    def __hash__(self) -> int:
+        return hash(self.identity)  # some values are mappings
 
     @property
     def is_pattern(self) -> bool:

@@ -27,7 +27,7 @@ from rsb_bridge.route.idling import Idling
 from rsb_bridge.route.lifecycle import Lifecycle, PauseState, Reopening, RouteEvent
 from rsb_bridge.route.notices import ChannelLosses, Notices
 from rsb_bridge.route.peer import Peer
-from rsb_bridge.route.rate_limit import RateLimit, limits_changed
+from rsb_bridge.route.rate_limit import RateLimit, added_changed, limits_changed
 from rsb_bridge.telemetry.meters import RateMeter
 from rsb_bridge.wire.messages import Close, Propose
 
@@ -376,9 +376,9 @@ class Route:
 
     def amend(self, here: Entry | None, there: Entry | None) -> None:
         """Apply new limits; counts, endpoints and messages in transit stay."""
-        before = self.proposal
+        before, spec = self.proposal, self.spec
         self.enter(here, there)
-        changes = limits_changed(before, self.proposal)
+        changes = ", ".join(filter(None, (limits_changed(before, self.proposal), added_changed(spec, self.spec))))
         self.weight = route_weight(self.proposal, armed=self.arming.required)
         self.limit.set_max_rate(self.proposal.max_rate)
         self.settle_age()
