@@ -331,6 +331,19 @@ class Feature:
         """Return settings of ``console.yaml``, each a `rsb_console.notation.console_setting.ConsoleSetting`."""
         return ()
 
+    def listeners(self, console: Any) -> Iterable[Any]:
+        """Return functions that hear of what a console shows, also one that is attached to a bridge.
+
+        Args:
+            console: the `rsb_console.console_api.Console`. It has `bell` and `notify`, and `engine` for commands.
+
+        Returns:
+            Functions, called several times a second with the newest `rsb_bridge.model.snapshot.Snapshot`, and with the
+            `rsb_bridge.model.snapshot.Event`s since the last call. What was before the console shows a bridge is in no
+            call.
+        """
+        return ()
+
     def own_actions(self, preferences: Any) -> Iterable[Any]:
         """Return actions that the user's settings make, of `rsb_console.actions.action.Group.OWN`.
 
