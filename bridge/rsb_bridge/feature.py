@@ -9,7 +9,7 @@ feature that a session does not use costs nothing.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, TypeVar
 
 import msgspec
 
@@ -70,6 +70,39 @@ class SessionKey(Generic[T]):
     def of(self, holder: Any) -> T:
         """Return the key's value in a session; that of a peer also in a client's entry, or a peer's rights."""
         value: T = holder.features.get(self.name, self.default)
+        return value
+
+
+@dataclass(frozen=True)
+class EntryKey(Generic[T]):
+    """A key that a feature gives to the entries of topics, services, actions and parameters in session files.
+
+    A running bridge takes a new value at once, and the topic's route stays open.
+
+    Attributes:
+        type: of its value: float, str or bool.
+        default: without the key, of that type or None.
+        label: of its field in the console's form.
+        help: of that field, one sentence.
+        unit: of a number, or empty.
+        limits: the lowest and the highest number, or None for any.
+        kinds: the entries that may have it: of topics, of what is called, or all.
+        of_peer: whether the other side gets the value, too, if it has this feature.
+    """
+
+    name: str
+    type: type[float] | type[str] | type[bool]
+    default: T
+    label: str
+    help: str
+    unit: str = ""
+    limits: tuple[float, float] | None = None
+    kinds: Literal["all", "topics", "calls"] = "all"
+    of_peer: bool = False
+
+    def of(self, entry: Any) -> T:
+        """Return the key's value in a `rsb_bridge.model.session.Topic`, such as a route's `spec`."""
+        value: T = entry.features.get(self.name, self.default)
         return value
 
 
@@ -169,6 +202,17 @@ class Feature:
 
     def session_keys(self) -> Iterable[SessionKey[Any]]:
         """Return keys of session files."""
+        return ()
+
+    def topic_keys(self) -> Iterable[EntryKey[Any]]:
+        """Return keys of the entries of topics, services, actions and parameters."""
+        return ()
+
+    def topic_problems(self, topic: Any) -> Iterable[tuple[str, str]]:
+        """Return mistakes of a `rsb_bridge.model.session.Topic`, each as its key and its text with the remedy.
+
+        A key's type and limits are checked already.
+        """
         return ()
 
     def problems(self, session: Any) -> Iterable[tuple[str, str]]:
@@ -285,6 +329,19 @@ class Feature:
 
     def console_settings(self) -> Iterable[Any]:
         """Return settings of ``console.yaml``, each a `rsb_console.notation.console_setting.ConsoleSetting`."""
+        return ()
+
+    def listeners(self, console: Any) -> Iterable[Any]:
+        """Return functions that hear of what a console shows, also one that is attached to a bridge.
+
+        Args:
+            console: the `rsb_console.console_api.Console`. It has `bell` and `notify`, and `engine` for commands.
+
+        Returns:
+            Functions, called several times a second with the newest `rsb_bridge.model.snapshot.Snapshot`, and with the
+            `rsb_bridge.model.snapshot.Event`s since the last call. What was before the console shows a bridge is in no
+            call.
+        """
         return ()
 
     def own_actions(self, preferences: Any) -> Iterable[Any]:

@@ -57,12 +57,12 @@ def guarded(feature: Feature, method: str) -> Iterator[None]:
     try:
         yield
     except Exception as error:  # noqa: BLE001 -- of code that is not ours, and of which a bridge must not depend
-        failed(feature, method, error)
+        failed(feature.name, method, error)
 
 
-def failed(feature: Feature, method: str, error: Exception) -> None:
-    """Note that a feature's method has raised."""
-    leave_out(feature.name, method, _failure(error))
+def failed(feature: str, method: str, error: Exception) -> None:
+    """Note that a method of a feature has raised."""
+    leave_out(feature, method, _failure(error))
 
 
 def _failure(error: Exception) -> str:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from textual import work
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.installed_features import added_by, guarded
 from rsb_bridge.model.commands import Effect
 from rsb_bridge.model.faults import ChangeKind, FaultWatch, fault_count
 from rsb_bridge.model.snapshot import LinkSnapshot, PatternSnapshot, Snapshot, State
@@ -43,7 +44,7 @@ if TYPE_CHECKING:
     from rsb_bridge.control.remote_engine import RemoteEngine
     from rsb_bridge.model.faults import FaultChange, Faulty
     from rsb_bridge.model.session import Session
-    from rsb_bridge.model.snapshot import RouteSnapshot
+    from rsb_bridge.model.snapshot import Event, RouteSnapshot
     from rsb_console.console_api import Console
     from rsb_console.notation.formats import Row
 
@@ -115,6 +116,7 @@ class ConsoleApp(TerminalApp[None]):
         self.fault_bell = Bell(self._ring, is_on=self.preferences.bell)
         self.changes = Changes()
         console: Console = self
+        self._listeners = SnapshotListeners(console)
         self.main: MainScreen = self.main_screen(console)
         self.attached_to = ""
         self._session = session
@@ -323,6 +325,7 @@ class ConsoleApp(TerminalApp[None]):
         for route in self._questions.find_new(snapshot, self.deadman.held):
             self._hand_over(route)
         self.fault_bell.ring_for_new(self.engine, snapshot)
+        self._listeners.tell(self.engine, snapshot, events)
         self.entitle(snapshot.name, fault_count(snapshot) if snapshot.name else 0)
         if any(isinstance(screen, FullScreen) for screen in self.screen_stack):
             self.main.hold(events)  # Textual would write the whole of the screen above for each of its changes
@@ -366,6 +369,27 @@ class ConsoleApp(TerminalApp[None]):
             # Keys that were pressed long ago do not show that somebody watches now.
             self.deadman.saw(event, self.screen)
         await super().on_event(event)
+
+
+class SnapshotListeners:
+    """The features' functions that hear of a console's snapshots and events. One that raises hears no more."""
+
+    def __init__(self, console: Console) -> None:
+        self._all = list(added_by("listeners", console))
+        self._engine: EngineApi | None = None
+
+    def tell(self, engine: EngineApi | None, snapshot: Snapshot, events: Sequence[Event]) -> None:
+        """Tell of a snapshot and of new events; those that come first with an engine are from before."""
+        if not self._all:
+            return
+        if engine is not self._engine:
+            self._engine, events = engine, ()
+        for each in tuple(self._all):
+            feature, listener = each
+            with guarded(feature, "listeners"):
+                listener(snapshot, events)
+                continue
+            self._all.remove(each)
 
 
 class Bell:

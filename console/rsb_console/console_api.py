@@ -77,6 +77,9 @@ class ConsoleShell(Protocol):
     ) -> None:
         """Show a message for a while (Textual's)."""
 
+    def bell(self) -> None:
+        """Ring the terminal's bell (Textual's)."""
+
     def suspend(self) -> AbstractContextManager[None]:
         """Leave the terminal to another program meanwhile (Textual's)."""
 

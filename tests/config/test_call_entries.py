@@ -295,8 +295,8 @@ def test_an_entry_says_all_of_a_topic(topic: Topic) -> None:
 def test_differences_are_told_in_words_of_file() -> None:
     old = Topic("/dock", "transmit", kind="service")
     new = replace(old, remote_topic="/robot/dock", timeout=5.0)
-    assert changes(old, new) == ["timeout none → 5.0", "remote_service none → /robot/dock"]
-    assert described(new) == "{service: /dock, provider: server, timeout: 5.0, remote_service: /robot/dock}"
+    assert changes(old, new) == ["remote_service none → /robot/dock", "timeout none → 5.0"]
+    assert described(new) == "{service: /dock, provider: server, remote_service: /robot/dock, timeout: 5.0}"
     session = parse(CLIENT, FILE)
     assert unsaved(session, replace(session, topics=(Topic("/dock", "transmit"), new))) == "added /dock, /dock"
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from rsb_bridge.feature import Feature, SessionKey
+from rsb_bridge.feature import EntryKey, Feature, SessionKey
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -26,6 +26,8 @@ TAKEN = (
     ("subcommands", "status"),
     ("session_keys", "server_ip"),
     ("session_keys", "services"),
+    ("topic_keys", "max_rate"),
+    ("topic_keys", "provider"),
     ("commands", "add"),
     ("messages", "ping"),
     ("columns", "AGE"),
@@ -65,6 +67,11 @@ class Greedy(Feature):
 
     def session_keys(self) -> Iterable[SessionKey[Any]]:
         return SessionKey("server_ip", str, ""), SessionKey("services", str, "")
+
+    def topic_keys(self) -> Iterable[EntryKey[Any]]:
+        taken = [EntryKey(name, str, "", "Taken", "Taken.") for name in ("max_rate", "provider")]
+        odd = EntryKey("odd", list, None, "Odd", "A list.")  # type: ignore[arg-type]
+        return (*taken, odd, EntryKey("fine_key", bool, default=False, label="Fine", help="Its own."))
 
     def commands(self) -> Iterable[Any]:
         from rsb_bridge.model.commands import Command

@@ -9,6 +9,7 @@ import sys
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 import pytest
 from rsb_door import METHODS, TAKEN  # type: ignore[import-not-found]
 from tests.command.conftest import here, ran
@@ -18,11 +19,12 @@ from tests.support.bridge import happened, is_accepted, linked
 from tests.support.waiting import eventually
 
 from rsb_bridge.config.session_file import save
-from rsb_bridge.config.validation import build
+from rsb_bridge.config.validation import build, validate_topic
 from rsb_bridge.feature import Feature
 from rsb_bridge.installed_features import FeatureFault, feature_faults, installed
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
+from rsb_bridge.model.topic_keys import ADDED_KEYS
 from rsb_console.actions.all_actions import ACTIONS, BY_ID
 from rsb_console.command.arguments import parser_and_commands
 
@@ -97,6 +99,13 @@ def test_session_files_are_read() -> None:
     assert not problems
     assert session.name == "robot1"
     assert reasons("problems", "failing")
+
+
+def test_entries_have_the_keys_that_are_free() -> None:
+    assert set(ADDED_KEYS) == {"fine_key"}
+    assert any("the type of odd" in each for each in reasons("topic_keys"))
+    assert not validate_topic(msgspec.structs.replace(SCAN, features={"fine_key": True}))
+    assert reasons("topic_problems", "failing")
 
 
 def test_doctor_names_each_taken_name_and_each_method() -> None:

@@ -122,6 +122,9 @@ class FakePeer:
     def route_fields(self, route: Route) -> dict[str, Any]:
         return {}
 
+    def verdicts(self, route: Route) -> tuple[()]:
+        return ()
+
     def closed(self, route_id: int) -> None:
         pass
 

@@ -1,7 +1,7 @@
 """A session in the form of its file, where services, actions and parameters have lists and keys of their own.
 
-`rsb_bridge.model.session` has all of them as topics of another kind, so that they share all code for topics. `KEYS`
-defines the entries of each kind, for reading and for writing.
+`rsb_bridge.model.session` has all of them as topics of another kind, so that they share all code for topics. The
+entries of each kind, for reading and for writing, follow from `rsb_bridge.model.topic_keys`.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from msgspec.structs import FieldInfo, fields
 
 from rsb_bridge.feature import BRINGS, SessionKey
 from rsb_bridge.model.session import Client, Direction, Kind, Provider, Session, Topic, peer_keys, session_keys
-from rsb_bridge.model.topic_keys import ForeignKey
+from rsb_bridge.model.topic_keys import ADDED_KEYS, TOPIC_KEYS, ForeignKey, type_of, value_of, without_defaults
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -35,36 +35,24 @@ _PROVIDERS: dict[Any, Provider] = {"transmit": "server", "receive": "client"}
 DIRECTIONS: Final[dict[Any, Direction]] = {provider: direction for direction, provider in _PROVIDERS.items()}
 """The direction of requests, by which side's node answers."""
 
+
+def _renamed(name: str) -> dict[str, str]:
+    """Return the keys of calls that have other names than their fields; `name` is that of the called."""
+    return {"topic": name, "direction": "provider", "remote_topic": f"remote_{name}", "excepts": "except"}
+
+
+_RENAMED: Final[dict[Kind, dict[str, str]]] = {
+    kind: {"excepts": "except"} if kind == "topic" else _renamed(NAME_KEYS[name]) for kind, name in LISTS.items()
+}
 KEYS: Final[dict[Kind, dict[str, str]]] = {
-    "topic": {
-        "topic": "topic", "direction": "direction", "type": "type", "protocol": "protocol", "port": "port",
-        "qos": "qos", "remote_topic": "remote_topic", "compression": "compression", "max_rate": "max_rate",
-        "expected_rate": "expected_rate", "stale_after": "stale_after", "late_after": "late_after",
-        "max_age": "max_age", "paused": "paused", "arm": "arm", "deadman": "deadman", "on_end": "on_end",
-        "limits": "limits", "priority": "priority", "keep": "keep", "lazy": "lazy", "renew": "renew",
-        "beat": "beat",
-        "except": "excepts",
-    },
-    "service": {
-        "service": "topic", "provider": "direction", "type": "type", "timeout": "timeout", "protocol": "protocol",
-        "port": "port", "remote_service": "remote_topic", "compression": "compression", "max_rate": "max_rate",
-        "max_age": "max_age", "paused": "paused", "arm": "arm", "deadman": "deadman", "on_end": "on_end",
-        "except": "excepts",
-    },
-    "action": {
-        "action": "topic", "provider": "direction", "type": "type", "timeout": "timeout", "protocol": "protocol",
-        "port": "port", "remote_action": "remote_topic", "compression": "compression", "max_rate": "max_rate",
-        "max_age": "max_age", "paused": "paused", "arm": "arm", "deadman": "deadman", "on_end": "on_end",
-        "except": "excepts",
-    },
-    "parameters": {
-        "node": "topic", "provider": "direction", "timeout": "timeout", "protocol": "protocol",
-        "port": "port", "remote_node": "remote_topic", "compression": "compression", "max_rate": "max_rate",
-        "max_age": "max_age", "paused": "paused", "arm": "arm", "deadman": "deadman", "on_end": "on_end",
-        "except": "excepts",
-    },
-}  # fmt: skip
-"""The fields of `Topic` by the keys of an entry, in the order in which one is written."""
+    kind: {
+        _RENAMED[kind].get(field, field): field
+        for field in (*Topic.__struct_fields__, *ADDED_KEYS)
+        if field in TOPIC_KEYS and TOPIC_KEYS[field].is_of(kind)
+    }
+    for kind in LISTS
+}
+"""The names of `TOPIC_KEYS` by the keys of an entry, in the order in which one is written."""
 
 _NOT_OF_TOPICS = {
     "kind": ForeignKey.KIND_OF_TOPIC(),
@@ -92,11 +80,13 @@ _NOT_OF_CALLS = {
 
 def hints_of(kind: Kind) -> dict[str, str]:
     """Return the remedies for keys that only entries of other kinds have."""
+    others_only = ForeignKey.OF_CALLS_ONLY() if kind == "topic" else ForeignKey.OF_TOPICS_ONLY()
+    of_features = {name: others_only for name in ADDED_KEYS if not TOPIC_KEYS[name].is_of(kind)}
     if kind == "topic":
-        return _NOT_OF_TOPICS
+        return _NOT_OF_TOPICS | of_features
     name = NAME_KEYS[LISTS[kind]]
     others = [(other, key) for other, key in NAME_KEYS.items() if key != name]
-    hints = dict(_NOT_OF_CALLS)
+    hints = _NOT_OF_CALLS | of_features
     hints |= {key: ForeignKey.LIST_UNDER(list=other, key=name) for other, key in others}
     hints |= {f"remote_{key}": ForeignKey.OTHER_REMOTE(key=f"remote_{name}") for _, key in others}
     return hints | ({"type": ForeignKey.TYPE_OF_PARAMETERS()} if kind == "parameters" else {})
@@ -122,7 +112,9 @@ _ENTRIES: dict[Kind, type[msgspec.Struct]] = {
         [
             _field(key, Provider if key == "provider" else _FIELDS[field].type, _FIELDS[field])
             for key, field in keys.items()
-        ],
+            if field in _FIELDS
+        ]
+        + [(key, type_of(ADDED_KEYS[key]), ADDED_KEYS[key].default) for key in keys if key in ADDED_KEYS],
         hints_of(kind),
     )
     for kind, keys in KEYS.items()
@@ -179,7 +171,7 @@ _FOREIGN = {
     kind: {
         name: (field.default, hints_of(kind)[name])
         for name, field in _FIELDS.items()
-        if name not in keys.values() and name != "kind"
+        if name not in keys.values() and name not in ("kind", "features")
     }
     for kind, keys in KEYS.items()
 }
@@ -189,12 +181,17 @@ _FOREIGN = {
 def foreign(topic: Topic) -> dict[str, str]:
     """Return the fields of a topic that its kind cannot have, each with the remedy."""
     known = _FOREIGN[topic.kind].items()
-    return {field: remedy for field, (default, remedy) in known if getattr(topic, field) != default}
+    found = {field: remedy for field, (default, remedy) in known if getattr(topic, field) != default}
+    if topic.features:
+        hints = hints_of(topic.kind)
+        found |= {name: hints[name] for name in topic.features if name in hints}
+    return found
 
 
 def as_topic(kind: Kind, written: msgspec.Struct) -> Topic:
     """Return the topic that an entry of a file says."""
     given = {field: getattr(written, key) for key, field in KEYS[kind].items()}
+    given["features"] = without_defaults({name: given.pop(name) for name in ADDED_KEYS if name in given})
     # A topic's entry has its direction itself.
     return Topic(**given | {"direction": DIRECTIONS.get(given["direction"], given["direction"])}, kind=kind)
 
@@ -202,7 +199,7 @@ def as_topic(kind: Kind, written: msgspec.Struct) -> Topic:
 def as_written(value: msgspec.Struct) -> msgspec.Struct:
     """Return a session, a client or a topic as its file has it; any other struct as it is."""
     if isinstance(value, Topic):
-        given = {key: getattr(value, field) for key, field in KEYS[value.kind].items()}
+        given = {key: value_of(value, field) for key, field in KEYS[value.kind].items()}
         if "provider" in given:
             given["provider"] = _PROVIDERS.get(given["provider"], given["provider"])
         return _ENTRIES[value.kind](**given)

@@ -16,6 +16,7 @@ from rsb_bridge.config.fields_text import read_fields
 from rsb_bridge.config.file_form import LISTS, foreign, key_of
 from rsb_bridge.config.keys import conceal
 from rsb_bridge.config.name_rules import KIND_NOUNS, topic_name_problems
+from rsb_bridge.installed_features import added
 from rsb_bridge.model import transports
 from rsb_bridge.model.by_hand import (
     END_CANCEL,
@@ -36,7 +37,7 @@ from rsb_bridge.model.patterns import is_pattern
 from rsb_bridge.model.qos import AUTO, PROFILES, Qos, parse_qos
 from rsb_bridge.model.session import Kind, Problem, Session, Topic
 from rsb_bridge.model.text import sanitize_text
-from rsb_bridge.model.topic_keys import TOPIC_KEYS, ForeignKey
+from rsb_bridge.model.topic_keys import ADDED_KEYS, TOPIC_KEYS, ForeignKey, TopicKey
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
@@ -104,8 +105,21 @@ def range_problems(holder: msgspec.Struct) -> Iterator[Problem]:
     for name in holder.__struct_fields__:
         key = TOPIC_KEYS.get(name)
         if key is not None and key.range_text and not key.allows(value := getattr(holder, name)):
-            message = TopicMistake.OUT_OF_RANGE(value=value, range=key.range_text(range=key.limits))
-            yield Problem(name, message)
+            yield _out_of_range(key, value)
+
+
+def _out_of_range(key: TopicKey, value: Any) -> Problem:
+    assert key.range_text is not None
+    return Problem(key.name, TopicMistake.OUT_OF_RANGE(value=value, range=key.range_text(range=key.limits)))
+
+
+def _feature_problems(topic: Topic) -> Iterator[Problem]:
+    """Yield the mistakes in the values of features' keys."""
+    value: Any
+    for name, value in topic.features.items():
+        if name in ADDED_KEYS and not TOPIC_KEYS[name].allows(value):
+            yield _out_of_range(TOPIC_KEYS[name], value)
+    yield from (Problem(name, text) for name, text in added("topic_problems", topic))
 
 
 def port_problems(port: int, key: str, transport: type[TransportTraits]) -> Iterator[Problem]:
@@ -184,6 +198,7 @@ def topic_problems(topic: Topic, session: Session | None, client: str | None) ->
     useless_deadman = topic.deadman is not None and not topic.arm
     # A number that has to go has no range to keep: one mistake, one remedy.
     yield from range_problems(msgspec.structs.replace(topic, deadman=None) if useless_deadman else topic)
+    yield from _feature_problems(topic)
     if useless_deadman:
         yield Problem("deadman", TopicMistake.DEADMAN_WITHOUT_ARM(kind=A_KIND[topic.kind]))
     if topic.on_end is not None and not topic.arm:

@@ -48,6 +48,7 @@ from rsb_bridge.model.patterns import is_pattern
 from rsb_bridge.model.qos import AUTO
 from rsb_bridge.model.session import ArmedName, Identity, Problem, Session, Topic, peer_keys
 from rsb_bridge.model.text import is_clean
+from rsb_bridge.model.topic_keys import ADDED_KEYS, type_of, value_of
 from rsb_bridge.model.transport_traits import TcpTraits, is_mac
 from rsb_bridge.model.wording import Wording
 
@@ -154,6 +155,8 @@ def validate_topic(topic: Topic, session: Session | None = None, *, client: str 
     mistyped: list[Problem] = []
     try:
         msgspec.convert(msgspec.to_builtins(topic), Topic)
+        for name, key in ADDED_KEYS.items():
+            msgspec.convert(value_of(topic, name), type_of(key))
     except msgspec.ValidationError:
         written = as_written(topic)
         topic = as_topic(topic.kind, read(msgspec.to_builtins(written), type(written), mistyped))

@@ -139,6 +139,7 @@ class BaseLink(ABC):
         self._tasks = Tasks(context.loop, self.fail)
         self.extensions = Extensions()
         self.route_fields, self.meter_of = self.extensions.route_fields, self.extensions.meter_of
+        self.verdicts = self.extensions.verdicts
         self.keepalive = Keepalive(self)
         self.clock, self.stamps = self.keepalive.clock, self.keepalive.stamps
         self.shortages_told: set[bool] = set()  # of kernel buffers, here or there

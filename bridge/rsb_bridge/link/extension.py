@@ -5,6 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from rsb_bridge.config.name_rules import name_problems
+from rsb_bridge.installed_features import failed
+from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.verdict import Verdict
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
@@ -62,6 +65,15 @@ class Extension:
         """Return the values of one of its routes."""
         return {}
 
+    def verdict(self, route: Route) -> Verdict | None:
+        """Return a feature's verdict on one of its routes, or None if it finds nothing.
+
+        It is asked once a second, while messages come and the link is up, of what is neither refused nor paused nor
+        disarmed. If the answer changes for another reason than a message, call `route.judge_again`. The worst of all
+        verdicts counts. Its `cause` begins with the feature's name and a dot: ``watch.low``.
+        """
+        return None
+
     def removed(self, route: Route) -> None:
         """End what a route was for: an operator of this side removes it."""
 
@@ -90,6 +102,7 @@ class Extensions:
         # Each snapshot of a route asks them: an extension that shows nothing costs nothing.
         self._showing_links: list[Extension] = []
         self._showing_routes: list[Extension] = []
+        self._judging: list[Extension] = []  # of features; one whose `verdict` has failed is asked no more
         self._told: list[Extension] = []  # of the present connection, if the peer has their feature, too
 
     def add(self, extension: Extension) -> None:
@@ -99,6 +112,8 @@ class Extensions:
             self._showing_links.append(extension)
         if kind.route_fields is not Extension.route_fields:
             self._showing_routes.append(extension)
+        if kind.verdict is not Extension.verdict:
+            self._judging.append(extension)
 
     def find(self, kind: type[_E]) -> _E:
         return next(each for each in self._all if isinstance(each, kind))
@@ -147,11 +162,34 @@ class Extensions:
             shown.update(each.link_fields())
         return shown
 
+    def verdicts(self, route: Route) -> Iterable[Verdict]:
+        """Return the verdicts of features on a route."""
+        if not self._judging:
+            return ()
+        found = []
+        for each in tuple(self._judging):
+            try:
+                if (verdict := each.verdict(route)) is not None:
+                    found.append(_checked(verdict, each.feature))
+            except Exception as error:  # noqa: BLE001 -- of code that is not ours; a route's state must not depend on it
+                self._judging.remove(each)
+                failed(each.feature, "verdict", error)
+        return found
+
     def route_fields(self, route: Route) -> dict[str, Any]:
         shown: dict[str, Any] = {}
         for each in self._showing_routes:
             shown.update(each.route_fields(route))
         return shown
+
+
+def _checked(verdict: Verdict, feature: str) -> Verdict:
+    """Return a feature's verdict; raise `ValueError` if programs and the other side could mistake it."""
+    if not isinstance(verdict, Verdict) or not isinstance(verdict.state, State):
+        raise TypeError("verdict returns a Verdict with a State, or None")
+    if not verdict.cause.startswith(f"{feature}."):
+        raise ValueError(f"the cause {verdict.cause!r} of a verdict has to begin with {feature}.")
+    return verdict
 
 
 class Denied(Wording):
@@ -175,6 +213,7 @@ class Denied(Wording):
     AGE_OF_ARMED = "{topic} has to be armed: let it have older messages on the side that lists it"
     PORT_OF_SERVER = "{topic} is listed on the server, and so is its port: change that there"
     LIMITS_OF_PEER = "the other side lists {topic}: set its limits there, or here under armed"
+    KEY_OF_SIDE = "the other side lists {topic}, and {keys} is no key for the other side: set it there, in its session"
     EDIT_THAT_ROUTE = "{topic} is bridged in that direction already: edit or remove that route"
     FOLLOWED_ALREADY = "{topic} is followed in that direction already: edit or remove that pattern"
     TOO_MANY_PATTERNS = "this link has {limit} patterns already, which is the limit"

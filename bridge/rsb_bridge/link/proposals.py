@@ -21,7 +21,7 @@ from rsb_bridge.model.patterns import is_pattern
 from rsb_bridge.model.purposes import TOPIC, Purpose, purposes
 from rsb_bridge.model.session import RANKS, Topic, priority_of
 from rsb_bridge.model.text import sanitize_text
-from rsb_bridge.model.topic_keys import TOPIC_KEYS
+from rsb_bridge.model.topic_keys import ADDED_KEYS, CORE_KEYS, of_peer, of_this_side, without_defaults
 from rsb_bridge.model.transports import NO_PROFILE, compression_of
 from rsb_bridge.route.route import Entry, route_key
 from rsb_bridge.wire.messages import Amend, Propose
@@ -86,6 +86,7 @@ def proposal_of(
         lazy=topic.lazy,
         renew=topic.renew,
         timeout=topic.timeout or 0.0,
+        features=of_peer(topic.features),
     )
 
 
@@ -119,7 +120,19 @@ def topic_of(proposal: Propose) -> Topic:
         lazy=proposal.lazy,
         renew=proposal.renew,
         timeout=proposal.timeout or None,
+        features=_features_of(proposal),
     )
+
+
+def _features_of(proposal: Propose) -> dict[str, Any]:
+    """Return the values of features' keys in a peer's proposal; raise `LinkError` if one is of another type."""
+    found = {}
+    for name, value in of_peer(proposal.features).items():
+        try:
+            found[name] = msgspec.convert(value, ADDED_KEYS[name].type)
+        except msgspec.ValidationError as error:
+            raise LinkError(f"{name}: {error}") from error
+    return without_defaults(found)
 
 
 def _known(names: Mapping[str, T], name: str) -> T:
@@ -136,7 +149,7 @@ def same_route(one: Propose, other: Propose) -> bool:
     return one == other
 
 
-_LIVE = tuple(name for name, key in TOPIC_KEYS.items() if key.live)
+_LIVE = (*(name for name, key in CORE_KEYS.items() if key.live), "features")
 """Keys whose change leaves a route open, and their names on the wire: its *limits*."""
 
 
@@ -156,7 +169,8 @@ def amendment(proposal: Propose, route_id: int, who: str = "") -> Amend:
 
 def amended_topic(topic: Topic, limits: Propose) -> Topic:
     """Return a topic with a proposal's limits."""
-    return msgspec.structs.replace(topic, **_limits(topic_of(limits)))
+    changed = _limits(topic_of(limits))
+    return msgspec.structs.replace(topic, **changed | {"features": of_this_side(topic.features) | changed["features"]})
 
 
 def amended_entry(entry: Entry, limits: Propose | Amend) -> Entry:
@@ -175,6 +189,8 @@ def edited_entry(entry: Topic, old: Propose, new: Propose, link: BaseLink) -> To
     before, after = topic_of(old), topic_of(new)
     differing = (name for name in Topic.__struct_fields__ if getattr(after, name) != getattr(before, name))
     changed = {name: getattr(after, name) for name in differing if name not in _OF_SESSION}
+    if "features" in changed:
+        changed["features"] = of_this_side(entry.features) | after.features
     if changed.keys() & {"topic", "remote_topic"}:
         usual_name = server_topic(after.topic, link.name) if link.use_name else after.topic
         changed["remote_topic"] = None if after.remote_topic == usual_name else after.remote_topic
@@ -209,7 +225,7 @@ def listed_differently(ours: Entry, theirs: Propose, link: BaseLink) -> str:
         )
     # Each side's profile chooses where an entry leaves that open.
     left_open = {"compression"} if entry.compression is None else set()
-    mine, others = values_apart(here, there, leave_out=_OF_SESSION | {"max_age"} | left_open)
+    mine, others = values_apart(here, there, leave_out=_OF_SESSION | {"max_age", *ADDED_KEYS} | left_open)
     place, far_place = place_of(entry, link) or Denied.THIS_SESSION(), theirs.place or Denied.ITS_SESSION()
     return Denied.LISTED_DIFFERENTLY(here=place, mine=mine, there=far_place, theirs=others) if mine else ""
 
@@ -283,7 +299,7 @@ def check_features(use: Use, session: Session) -> None:
         try:
             refusal = feature.refusal(session, use.topic)
         except Exception as error:  # noqa: BLE001 -- of code that is not ours
-            failed(feature, "refusal", error)
+            failed(feature.name, "refusal", error)
             continue
         if refusal:
             raise LinkError(refusal)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
@@ -26,6 +26,7 @@ from rsb_bridge.link.proposals import (
 from rsb_bridge.link.questions import Questions
 from rsb_bridge.model.demands import effective_max_age
 from rsb_bridge.model.text import sanitize_text
+from rsb_bridge.model.topic_keys import of_peer, of_this_side
 from rsb_bridge.route.route import Entry, route_key
 from rsb_bridge.wire.messages import Edit, EditAnswer
 
@@ -158,7 +159,8 @@ class ProposedTopics(Extension):
             LinkError: this session has no place for it.
         """
         old = route.spec
-        new = {name: getattr(topic, name) for name in ARMING_KEYS}
+        new: dict[str, Any] = {name: getattr(topic, name) for name in ARMING_KEYS}
+        new["features"] = of_peer(old.features) | of_this_side(topic.features)
         if all(getattr(old, name) == value for name, value in new.items()):
             return topic
         if route.here is not None:
@@ -166,9 +168,13 @@ class ProposedTopics(Extension):
             self._context.demands.changed()
         elif topic.arm:
             self._table.arming.keep_demand(self.names(topic)[1], topic)
+        elif new["features"] != old.features:
+            raise LinkError(Denied.KEY_OF_SIDE(topic=route.local_topic, keys=", ".join(of_this_side(topic.features))))
         elif topic.limits != old.limits:
             raise LinkError(Denied.LIMITS_OF_PEER(topic=route.local_topic))
-        return msgspec.structs.replace(topic, **{name: getattr(route.spec, name) for name in new})
+        left = {name: getattr(route.spec, name) for name in ARMING_KEYS}
+        features = of_this_side(route.spec.features) | of_peer(topic.features)
+        return msgspec.structs.replace(topic, **left, features=features)
 
     async def edit_there(self, route: Route, topic: Topic) -> None:
         """Have the other side change its entry of a route.

@@ -95,8 +95,9 @@ def _write_out(entry: Topic | ArmedName) -> None:
 class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """One bridged topic, service, action or node's parameters, as the *client* sees it (thesis, chapter 3).
 
-    A session file lists services, actions and parameters under keys of their own. If the name is a pattern
-    (`rsb_bridge.model.patterns`), the entry is a template for each matching name of the sending side.
+    A session file lists services, actions and parameters under keys of their own, and an entry's keys in the order of
+    these fields. If the name is a pattern (`rsb_bridge.model.patterns`), the entry is a template for each matching name
+    of the sending side.
     """
 
     topic: str  # its name on the client, absolute (``/scan``); of parameters, their node's
@@ -134,8 +135,6 @@ class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
     kind: Kind = "topic"
     timeout: float | None = None  # s that a call waits for its answer, or None for `CALL_TIMEOUT`; not for topics
     priority: Priority = "normal"  # on a full link, topics of a higher priority get a larger share; only for topics
-    excepts: tuple[str, ...] = ()
-    """Names on the client that a pattern leaves out, patterns or not; ``except`` in a file."""
     keep: float | Keep | None = None
     """All messages of so many s wait for a link that is away or carries too little, or None for what the QoS keeps."""
     lazy: bool | None = None
@@ -143,11 +142,18 @@ class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
     renew: bool = False  # whether it subscribes anew whenever more subscribe on the other side
     beat: str | None = None
     """The name that topics share whose limits choose the same stamps, or None for none, and of a pattern its own."""
+    excepts: tuple[str, ...] = ()
+    """Names on the client that a pattern leaves out, patterns or not; ``except`` in a file."""
+    features: dict[str, bool | float | str] = {}
+    """Values of the features' keys, by name, without defaults (`feature.EntryKey.of`)."""
 
     def __post_init__(self) -> None:
         _write_out(self)
         if isinstance(self.keep, Keep) and self.keep.megabytes is None:  # one form, so that entries can be compared
             msgspec.structs.force_setattr(self, "keep", self.keep.seconds)
+
+    def __hash__(self) -> int:
+        return hash(self.identity)  # some values are mappings
 
     @property
     def is_pattern(self) -> bool:

@@ -1,19 +1,25 @@
 """The table of the keys that an entry for a topic, a service, an action or a node's parameters may have.
 
-`rsb_bridge.model.session.Topic` has a field for each key. The table has what the rules of session files, the console's
-form, the command line, proposals and the wire need to know about it. Rules about several keys are in
-`rsb_bridge.config.topic_rules`.
+`rsb_bridge.model.session.Topic` has a field for each key, and `features` for those of features. The table has what the
+rules of session files, the console's form, the command line, proposals and the wire need to know about it. Rules about
+several keys are in `rsb_bridge.config.topic_rules`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
+from rsb_bridge.installed_features import added_by, guarded
 from rsb_bridge.model.limits import RATE, Range
 from rsb_bridge.model.qos import PROFILES
-from rsb_bridge.model.session import CALL_TIMEOUT, DEADMAN, Kind
+from rsb_bridge.model.session import CALL_TIMEOUT, DEADMAN, Kind, Topic
 from rsb_bridge.model.wording import Wording
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from rsb_bridge.feature import EntryKey
 
 Value = Literal["text", "number", "switch", "choice", "list"]  # a choice is on, off or open
 
@@ -42,6 +48,7 @@ class ForeignKey(Wording):
         "calls do not become stale: leave it out; timeout limits how long a call waits for its answer"
     )
     OF_TOPICS_ONLY = "only topics have it: leave it out"
+    OF_CALLS_ONLY = "topics do not have it: leave it out"
     LATE_AFTER_OF_CALLED = "only topics have it: leave it out; timeout limits how long a call waits for its answer"
     KEEP_OF_CALLED = "only topics have it, and calls wait for the link without it: leave it out"
     DIRECTION_OF_CALLED = "write provider: client or provider: server, the side whose node answers"
@@ -60,6 +67,7 @@ class RangeText(Wording):
     STALE_AFTER = "{range} s, or 0 to never warn"
     RATE = "{range} Hz, or leave it out"
     TIMEOUT = "{range} s, or leave it out"
+    OF_FEATURE = "{range}, or leave it out"
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +93,8 @@ class TopicKey:
     options: tuple[tuple[str, str], ...] = ()  # the choices of its field, each a value and a label
 
     def is_of(self, kind: Kind) -> bool:
+        if kind == "parameters" and self.name == "type":
+            return False  # ROS's own
         return self.kinds == "all" or (self.kinds == "topics") == (kind == "topic")
 
     def allows(self, value: float | None) -> bool:
@@ -106,7 +116,7 @@ _PRIORITIES = (("", "normal"), ("high", "high"), ("low", "low"))
 _OLD = "Seconds; an older {} none: no limit. Empty: 1 s if it has to be armed, else no limit."
 _KNOWN_QOS = f"auto, {', '.join(PROFILES)}, a depth (20), or policies: {{reliability: best_effort}}"
 
-TOPIC_KEYS: Final = {key.name: key for key in (
+CORE_KEYS: Final = {key.name: key for key in (
     TopicKey("topic"),
     TopicKey("direction"),
     TopicKey("excepts", "list", label="Except", blank="nothing",
@@ -175,10 +185,74 @@ TOPIC_KEYS: Final = {key.name: key for key in (
     TopicKey("paused", "switch",
              label="Paused", help="Set up, but carries nothing until resumed.", options=_SWITCH),
 )}  # fmt: skip
-"""All keys by the fields' names, in the order in which an operator thinks of them: of the form and the command line.
+"""The core's keys by the fields' names, in the order in which an operator thinks of them: of form and command line.
 
 `kind` is no key: the list defines it.
 """
+_IN_FILES = ("service", "action", "node", "provider", "remote_service", "remote_action", "remote_node", "except")
+"""The names of some fields in files."""
+
+
+def _of_features() -> Iterator[tuple[EntryKey[Any], TopicKey]]:
+    taken = (*Topic.__struct_fields__, *_IN_FILES)
+    for feature, key in added_by("topic_keys", name_of=lambda key: key.name, taken=taken):
+        with guarded(feature, "topic_keys"):
+            yield key, _shown(key)
+
+
+def _shown(key: EntryKey[Any]) -> TopicKey:
+    values: dict[Any, Value] = {float: "number", str: "text", bool: "switch"}
+    if key.type not in values:
+        raise TypeError(f"the type of {key.name} is {key.type}, and not float, str or bool")
+    return TopicKey(
+        key.name,
+        values[key.type],
+        key.kinds,
+        limits=None if key.limits is None else Range(*key.limits),
+        range_text=RangeText.OF_FEATURE,
+        unit=key.unit,
+        sentence=key.name if key.type is bool else f"{key.name} {{value}} {{unit}}".rstrip(),
+        label=key.label,
+        help=key.help,
+        blank="" if key.default is None else str(key.default),
+        options=_SWITCH if key.type is bool else (),
+    )
+
+
+_ADDED = tuple(_of_features())
+ADDED_KEYS: Final = {key.name: key for key, _ in _ADDED}
+"""The features' keys."""
+TOPIC_KEYS: Final = CORE_KEYS | {shown.name: shown for _, shown in _ADDED}
+"""All keys, those of features by their names in `Topic.features`."""
+
+
+def value_of(topic: Topic, name: str) -> Any:
+    """Return the value of a key in an entry, the core's or a feature's."""
+    return ADDED_KEYS[name].of(topic) if name in ADDED_KEYS else getattr(topic, name)
+
+
+def type_of(key: EntryKey[Any]) -> Any:
+    """Return the type of a feature's key in an entry that may lack it."""
+    return key.type | None if key.default is None else key.type
+
+
+def without_defaults(features: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of features' keys that differ from their defaults, as `Topic.features` has them."""
+    return {name: value for name, value in features.items() if value != ADDED_KEYS[name].default}
+
+
+def of_peer(features: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of those features' keys that the other side gets, too."""
+    return {name: value for name, value in features.items() if _is_of_peer(name)}
+
+
+def of_this_side(features: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the others."""
+    return {name: value for name, value in features.items() if not _is_of_peer(name)}
+
+
+def _is_of_peer(name: str) -> bool:
+    return name in ADDED_KEYS and ADDED_KEYS[name].of_peer
 
 
 def keys_of_value(value: Value) -> tuple[str, ...]:

@@ -191,15 +191,17 @@ class Verdict:
     """One side's judgement of a route.
 
     Attributes:
-        cause: of the state, a `Cause` or one of a newer peer.
+        cause: of the state, a `Cause`, one of a feature, or one of a newer peer.
         text: for an operator, with the remedy, and perhaps with `LASTING`; or empty.
         since: s, when it began, or None if the verdict does not say.
+        here: whether it is for this side only.
     """
 
     state: State
     cause: str = Cause.NONE
     text: str = ""
     since: float | None = None
+    here: bool = False
 
     @property
     def lasting(self) -> bool:

@@ -38,8 +38,8 @@ _BETWEEN_LOSSES = frozenset(
 """Verdicts on a route that has recovered for a moment, or opens again."""
 
 
-def judge(half: FactsT, crossing: Crossing, rules: Rules[FactsT]) -> Verdict:
-    """Return the verdict that counts.
+def judge(half: FactsT, crossing: Crossing, rules: Rules[FactsT], *, for_peer: bool = False) -> Verdict:
+    """Return the verdict that counts, also for the other side if it is `for_peer`.
 
     A blocking verdict counts alone, because it keeps the others from being known. Otherwise the worst one counts,
     and of equally bad ones the first; instead of silence, its explanation.
@@ -51,6 +51,7 @@ def judge(half: FactsT, crossing: Crossing, rules: Rules[FactsT]) -> Verdict:
     found = [] if no_path is None or (half.route.transport.reliable and half.route.link_full is not None) else [no_path]
     # A generator would take a call for each rule, once a second for each route.
     found += [verdict for rule in rules if (verdict := rule(half, crossing)) is not None]
+    found += [each for each in half.route.peer.verdicts(half.route) if not (for_peer and each.here)]
     if half.route.limit.rate:
         found.append(Verdict(State.OK, Cause.THROTTLED, f"limit {half.route.limit.rate:g} Hz, {half.route.limit.why}"))
     if not found:

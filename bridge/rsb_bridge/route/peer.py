@@ -15,9 +15,12 @@ from rsb_bridge.route.rate_limit import AllowedRates
 from rsb_bridge.wire.framing import UNFINISHED_LIMIT, Budget
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from rsb_bridge.model.capacity import Fullness
     from rsb_bridge.model.faults import PathFault
     from rsb_bridge.model.transports import LinkProfile
+    from rsb_bridge.model.verdict import Verdict
     from rsb_bridge.ros.ros_interface import RosInterface
     from rsb_bridge.route.lifecycle import Revisions
     from rsb_bridge.telemetry.meters import ClockOffset
@@ -120,6 +123,9 @@ class Peer(Protocol):
 
     def route_fields(self, route: Any) -> dict[str, Any]:
         """Return what features show of one of its routes."""
+
+    def verdicts(self, route: Any) -> Iterable[Verdict]:
+        """Return the verdicts of features on one of its routes."""
 
     def closed(self, route_id: int) -> None:
         """Note the end of a route's opening: control messages about it that still come are late."""

@@ -10,12 +10,13 @@ from rsb_bridge.model.keep import Keep
 from rsb_bridge.model.limits import ROUTES_PER_LINK
 from rsb_bridge.model.session import priority_of
 from rsb_bridge.model.snapshot import Level
-from rsb_bridge.model.topic_keys import TOPIC_KEYS
+from rsb_bridge.model.topic_keys import ADDED_KEYS, CORE_KEYS, value_of
 
 if TYPE_CHECKING:
     import asyncio
     from collections.abc import Callable, Sequence
 
+    from rsb_bridge.model.session import Topic
     from rsb_bridge.model.topic_keys import TopicKey
     from rsb_bridge.ros.ros_interface import RawMessage
     from rsb_bridge.route.history_depth import Sample
@@ -311,11 +312,23 @@ def _figure(rate: float) -> str:
     return f"at most {rate:g} Hz" if rate else "any rate"
 
 
+def added_changed(old: Topic, new: Topic) -> str:
+    """Return the differences between the values of features' keys in two entries, for an operator."""
+    values = ((name, value_of(old, name), value_of(new, name)) for name in ADDED_KEYS)
+    return ", ".join(f"{name} {_plain(was)} → {_plain(becomes)}" for name, was, becomes in values if was != becomes)
+
+
+def _plain(value: bool | float | str | None) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return "none" if value is None else f"{value:g}" if isinstance(value, float) else value
+
+
 def limits_changed(old: Propose, new: Propose) -> str:
     """Return the differences between the limits of two proposals, for an operator."""
     changed = [
         f"{name} {_limit_text(before, key)} → {_limit_text(after, key)}"
-        for name, key in TOPIC_KEYS.items()
+        for name, key in CORE_KEYS.items()
         if key.live and name != "priority" and (before := getattr(old, name)) != (after := getattr(new, name))
     ]
     before, after = priority_of(old.priority), priority_of(new.priority)

@@ -27,7 +27,7 @@ from rsb_bridge.route.idling import Idling
 from rsb_bridge.route.lifecycle import Lifecycle, PauseState, Reopening, RouteEvent
 from rsb_bridge.route.notices import ChannelLosses, Notices
 from rsb_bridge.route.peer import Peer
-from rsb_bridge.route.rate_limit import RateLimit, limits_changed
+from rsb_bridge.route.rate_limit import RateLimit, added_changed, limits_changed
 from rsb_bridge.telemetry.meters import RateMeter
 from rsb_bridge.wire.messages import Close, Propose
 
@@ -376,9 +376,9 @@ class Route:
 
     def amend(self, here: Entry | None, there: Entry | None) -> None:
         """Apply new limits; counts, endpoints and messages in transit stay."""
-        before = self.proposal
+        before, spec = self.proposal, self.spec
         self.enter(here, there)
-        changes = limits_changed(before, self.proposal)
+        changes = ", ".join(filter(None, (limits_changed(before, self.proposal), added_changed(spec, self.spec))))
         self.weight = route_weight(self.proposal, armed=self.arming.required)
         self.limit.set_max_rate(self.proposal.max_rate)
         self.settle_age()
@@ -522,6 +522,14 @@ class Route:
         if self._verdict is None or self.arming.overdue(now):
             self._verdict = self._judged(now, self.crossing)
         return self._verdict
+
+    def verdict_for_peer(self) -> Verdict:
+        """Return this side's verdict without those that are for this side only."""
+        own = self.verdict()
+        if not own.here:
+            return own
+        verdict = judge(self.half.facts, self.crossing, self.half.rules, for_peer=True)
+        return self._lossy_path.steady(verdict, self.peer.path.fault, self.context.now())
 
     def _judged(self, now: float, crossing: Crossing) -> Verdict:
         return self._lossy_path.steady(judge(self.half.facts, crossing, self.half.rules), self.peer.path.fault, now)

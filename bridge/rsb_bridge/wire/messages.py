@@ -24,6 +24,7 @@ from rsb_bridge.wire.records import (
     Count,
     DescriptionText,
     FeatureNames,
+    FeatureValues,
     FullRecord,
     Hertz,
     HistoryDepths,
@@ -129,6 +130,8 @@ class Propose(ControlMessageBase, frozen=True, kw_only=True):
     renew: bool = False  # whether the sending side subscribes anew when more subscribe on the other one
     purpose: Name = "topic"
     """A name of `rsb_bridge.model.purposes.purposes`; another one is a newer peer's, and refused."""
+    features: FeatureValues = {}
+    """Values of the features' keys that are for the peer, too, by name. It takes those of features that it has."""
 
     def __post_init__(self) -> None:
         check_qos(self.qos, depth_known=True)
@@ -319,6 +322,7 @@ class Amend(ControlMessageBase, frozen=True):
     beat: Name = ""
     lazy: bool | None = None
     renew: bool = False
+    features: FeatureValues = {}
 
     def __post_init__(self) -> None:
         check_limits(self)

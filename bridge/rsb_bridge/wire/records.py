@@ -17,7 +17,7 @@ from rsb_bridge.model.names import HOP_LENGTH, MOST_BRIDGES, MOST_HOPS
 from rsb_bridge.model.qos import Qos, qos_problem
 from rsb_bridge.model.session import HIGHEST, LOWEST
 from rsb_bridge.model.text import UNPRINTABLE
-from rsb_bridge.model.topic_keys import TOPIC_KEYS
+from rsb_bridge.model.topic_keys import CORE_KEYS
 from rsb_bridge.model.wording import Wording
 
 PRINTABLE = rf"\A[^{UNPRINTABLE}]*\Z"  # not `$`, which also matches before an end of line
@@ -46,6 +46,7 @@ Hops: TypeAlias = Annotated[tuple[Hop, ...], Meta(min_length=1, max_length=MOST_
 MaybeHops: TypeAlias = Annotated[tuple[Hop, ...], Meta(max_length=MOST_HOPS)]
 Bridges: TypeAlias = Annotated[tuple[Name, ...], Meta(min_length=1, max_length=MOST_BRIDGES)]
 FeatureNames: TypeAlias = Annotated[tuple[Name, ...], Meta(max_length=64)]
+FeatureValues: TypeAlias = Annotated[dict[Name, bool | float | Name], Meta(max_length=32)]
 NodeNames: TypeAlias = Annotated[tuple[Name, ...], Meta(max_length=16)]
 
 MOST_PUBLISHERS = 4096  # of one latched topic, in one message
@@ -232,7 +233,7 @@ class OutOfRange(Wording):
 
 _CHECKED = tuple(
     (name, key.limits, OutOfRange.RATE if key.unit == "Hz" else OutOfRange.SECONDS)
-    for name, key in TOPIC_KEYS.items()
+    for name, key in CORE_KEYS.items()
     if key.limits is not None and name != "timeout"
 )
 """Not `timeout`: one that is out of range is refused with the topic, and the link stays."""

@@ -250,6 +250,7 @@ def _details(topic: Topic, compression: Compression) -> Iterator[str]:
     if topic.remote_topic is not None:
         yield f"{topic.remote_topic} on the server"
     given = msgspec.to_builtins(topic)  # without what is at its default
+    given |= given.pop("features", {})
     for name, key in TOPIC_KEYS.items():
         if name in given and key.sentence:
             yield key.described(given[name], topic.kind)

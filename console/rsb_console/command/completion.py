@@ -20,6 +20,7 @@ from rsb_bridge.model.calls import LANES
 from rsb_bridge.model.qos import AUTO, PROFILES
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.text import is_clean
+from rsb_bridge.model.topic_keys import ADDED_KEYS
 from rsb_console.command.shell import OK, print_lines
 
 if TYPE_CHECKING:
@@ -237,6 +238,7 @@ def _choices(annotation: Any) -> list[str]:
 
 
 _VALUES = {field.name: _choices(field.type) for field in fields(Topic)}
+_VALUES |= {name: _choices(key.type) for name, key in ADDED_KEYS.items()}
 # These are the values of the key `provider`, whose field is the direction; a topic's direction is no key.
 _VALUES |= {"qos": [AUTO, *PROFILES], "direction": ["client", "server"], "type": [AUTO]}
 

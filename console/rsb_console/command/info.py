@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from rsb_bridge.model.topic_keys import TOPIC_KEYS
+from rsb_bridge.model.topic_keys import ADDED_KEYS, TOPIC_KEYS, value_of
 from rsb_console.command.figures import measured
 from rsb_console.command.formatting import clock, link_word, links_of, route_of, without_peer
 from rsb_console.command.target import attached, chosen_route, done, other_side
@@ -55,6 +55,7 @@ def _values(route: RouteSnapshot, now: float) -> dict[str, object]:
         "lazy": route.spec.lazy,
         "renew": route.spec.renew,
         "limits": limits,
+        "features": route.spec.features,
         "qos": _qos_values(route.qos),
         "publisher_qos": _qos_values(route.publisher_qos),
         "subscriber_qos": _qos_values(route.subscriber_qos),
@@ -124,8 +125,8 @@ def _carriers(route: RouteSnapshot) -> Iterator[str]:
         yield TOPIC_KEYS["max_age"].described(route.max_age, route.spec.kind)
     if route.spec.kept is not None:
         yield f"keeps {route.spec.kept} for the link"
-    for name in ("beat", "lazy", "renew"):
-        if (value := getattr(route.spec, name)) is not None and value is not False:
+    for name in ("beat", "lazy", "renew", *ADDED_KEYS):
+        if (value := value_of(route.spec, name)) is not None and value is not False:
             yield TOPIC_KEYS[name].described(value, route.spec.kind)
     if route.pattern:
         yield f"matches {route.pattern}"

@@ -18,7 +18,7 @@ from rsb_bridge.model.by_hand import VelocityLimits
 from rsb_bridge.model.keep import Keep
 from rsb_bridge.model.names import client_topic
 from rsb_bridge.model.session import Problem, Session, Topic
-from rsb_bridge.model.topic_keys import keys_of_value
+from rsb_bridge.model.topic_keys import ADDED_KEYS, keys_of_value
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
@@ -101,12 +101,14 @@ def topic_of(values: Mapping[str, str]) -> Topic:
     given |= {key: True for key in SWITCHES if values.get(key, "").lower() not in _OFF}
     if (provider := given.pop("provider", None)) is not None:
         given["direction"] = DIRECTIONS.get(provider, provider)
+    given["features"] = {name: given.pop(name) for name in ADDED_KEYS if name in given}
     return Topic(**({"topic": "", "direction": "transmit"} | given))
 
 
 def values_of(topic: Topic) -> dict[str, str]:
     """Convert a topic to a form's texts; defaults are empty."""
-    return {key: _text(value) for key, value in msgspec.to_builtins(topic).items()}
+    values = msgspec.to_builtins(topic)
+    return {key: _text(value) for key, value in (values | values.pop("features", {})).items()}
 
 
 def _text(value: object) -> str:
