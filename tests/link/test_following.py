@@ -24,6 +24,7 @@ class Side:
     def __init__(self) -> None:
         self.sent: list[Followed] = []
         self.followed: PeerSubscription | None = None
+        self.end = self
 
     def shows(self, name: str, _: str) -> bool:
         return "secret" not in name

@@ -156,7 +156,7 @@ class PeerSubscription:
         kind, name = named
         matches = any(kind == each and pattern.match(name) is not None for each, pattern in self.patterns_here())
         # The other side would end the connection for a longer text (PROTOCOL.md, 3).
-        return matches and max(len(name), len(type_name)) <= TEXT_LENGTH and self._link.shows(name, kind)
+        return matches and max(len(name), len(type_name)) <= TEXT_LENGTH and self._link.end.shows(name, kind)
 
 
 def _found(named: Named, type_name: str) -> FoundName:
@@ -274,7 +274,8 @@ class LinkPatterns(Extension):
         link = self._link
         always = isinstance(link.peer, Welcome) and link.peer.use_name
         self._entries = [
-            PatternEntry(topic, client=link.name, prefixed=link.prefixed, always_prefixed=always) for topic in topics
+            PatternEntry(topic, client=link.name, prefixed=link.end.prefixed, always_prefixed=always)
+            for topic in topics
         ]
         self._context.demands.changed()
         self._known.clear()
@@ -353,7 +354,7 @@ class LinkPatterns(Extension):
 
     def _match_names(self) -> None:
         """Match the names of the two graphs, many new ones in slices, and reconcile the routes with them."""
-        entries, rights = self._entries, as_if_listed(self._link.rights)
+        entries, rights = self._entries, as_if_listed(self._link.end.rights)
         new = [key for key in self._names() if key not in self._known]
 
         def match(key: _Match) -> None:
@@ -407,7 +408,7 @@ class LinkPatterns(Extension):
 
     def _wanted(self) -> dict[Identity, tuple[PatternEntry, Topic]]:
         """Return the matching topics, each with its winning pattern, in the order of patterns and names."""
-        session, rights = self._context.session, as_if_listed(self._link.rights)
+        session, rights = self._context.session, as_if_listed(self._link.end.rights)
         own = set(session.own_topics) - {None}  # as most topics have no remote_topic
         found: list[tuple[int, str, Topic]] = []
         before, self._known = self._known, {}  # names that are gone are forgotten
@@ -434,7 +435,7 @@ class LinkPatterns(Extension):
 
     def _entry_of(self, route: Route) -> PatternEntry | None:
         """Return the pattern that matches a route's topic, which may be gone, or None."""
-        rights = as_if_listed(self._link.rights)
+        rights = as_if_listed(self._link.end.rights)
         for entry in self._claiming(route):
             topic = entry.match(entry.name_of(route.spec, on_client=entry.from_client), None)
             if topic is not None and self._may_have(entry, topic, rights):
