@@ -117,7 +117,7 @@ class Named(NamedTuple):
         """Return the topic's route, or the routes that the pattern has made by now."""
         if self.route is not None:
             return (self.route,)
-        return self.link.patterns.routes_of(self.entry)
+        return self.link.patterns.made.routes_of(self.entry)
 
 
 def route_in(links: Iterable[Link], key: str) -> tuple[Link, Route] | None:
