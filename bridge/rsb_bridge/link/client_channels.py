@@ -27,7 +27,7 @@ _ROUNDS = 3  # times that data streams are opened if others are lost meanwhile: 
 _UDP_RETRIED_AFTER = 1.0  # s until a socket for datagrams is tried again: its topics wait as long. A round figure
 
 
-class StreamOpener(Protocol):
+class StreamDialer(Protocol):
     """The members of a client's end (`rsb_bridge.link.client_end.ClientEnd`) that its connections use."""
 
     udp_failure: str
@@ -47,7 +47,7 @@ class StreamOpener(Protocol):
 class ClientChannels(DataChannels):
     """The client's end of a connection, which opens the streams and sockets."""
 
-    def __init__(self, link: CarriedLink, opener: StreamOpener, control: ControlChannel, keys: SessionKeys) -> None:
+    def __init__(self, link: CarriedLink, opener: StreamDialer, control: ControlChannel, keys: SessionKeys) -> None:
         super().__init__(link, control, keys)
         self._opener = opener
         self._opening: dict[tuple[str, int], asyncio.Task[None]] = {}
