@@ -121,7 +121,7 @@ class ConsoleApp(TerminalApp[None]):
         self.attached_to = ""
         self._session = session
         self._attach_to = attach_to
-        self._make_engine = make_engine or self._new_engine
+        self._make_engine = make_engine or partial(_new_engine, self)
         self._serve = serve
         self._server: ControlServer | None = None
         self._resources = ExitStack()
@@ -214,12 +214,6 @@ class ConsoleApp(TerminalApp[None]):
             await asyncio.to_thread(self._close_server)  # nobody attaches to what does not run
         self.note = ""
         self.pull()
-
-    def _new_engine(self, session: Session, base: Path) -> EngineApi:
-        from rsb_bridge.config.state_folder import state_folder  # noqa: PLC0415 -- keeps the start short
-        from rsb_bridge.engine import Engine  # noqa: PLC0415 -- the first picture comes before the engine's imports
-
-        return Engine(session, base=base, state=None if self.temporary else state_folder(os.environ))
 
     async def attach(self, path: Path) -> None:
         await asyncio.shield(self._attach_to_bridge(path).wait())
@@ -369,6 +363,13 @@ class ConsoleApp(TerminalApp[None]):
             # Keys that were pressed long ago do not show that somebody watches now.
             self.deadman.saw(event, self.screen)
         await super().on_event(event)
+
+
+def _new_engine(app: ConsoleApp, session: Session, base: Path) -> EngineApi:
+    from rsb_bridge.config.state_folder import state_folder  # noqa: PLC0415 -- keeps the start short
+    from rsb_bridge.engine import Engine  # noqa: PLC0415 -- the first picture comes before the engine's imports
+
+    return Engine(session, base=base, state=None if app.temporary else state_folder(os.environ))
 
 
 class SnapshotListeners:

@@ -19,7 +19,6 @@ from tests.support.waiting import eventually
 from rsb_bridge.bluetooth.scan import held_channels
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.engine import Engine
-from rsb_bridge.link.client_link import ClientLink
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Session, Topic
@@ -149,7 +148,6 @@ class Pair(NamedTuple):
     def waiting(self) -> Collection[object]:
         """The client's topics that wait for the connection."""
         (link,) = inside(self.client).role.links()
-        assert isinstance(link, ClientLink)
         return link.channels.awaiting.get(("bluetooth", _CHANNEL), {})
 
     def remove(self, topic: str) -> None:

@@ -16,9 +16,9 @@ from tests.support.ports import free_port
 from tests.support.steady import Steady
 from tests.support.waiting import eventually
 
-from rsb_bridge.link.client_link import ClientLink
+from rsb_bridge.link.client_end import ClientEnd
 from rsb_bridge.link.connecting import Failure
-from rsb_bridge.link.server_link import ServerLink
+from rsb_bridge.link.server_end import ServerEnd
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 from rsb_bridge.transport.tcp import Tcp
@@ -164,19 +164,19 @@ def find_by_announcements(monkeypatch: pytest.MonkeyPatch, bridge: Bridge) -> No
 
 
 @pytest.mark.parametrize("announced", [False, True])
-@pytest.mark.parametrize("side", [ClientLink, ServerLink])
+@pytest.mark.parametrize("side", [ClientEnd, ServerEnd])
 def test_connection_that_failed_internally_is_tried_again(
-    bridge: Bridge, monkeypatch: pytest.MonkeyPatch, side: type[ClientLink | ServerLink], announced: bool
+    bridge: Bridge, monkeypatch: pytest.MonkeyPatch, side: type[ClientEnd | ServerEnd], announced: bool
 ) -> None:
-    made = side.channels_class
+    made = side.new_channels
     fails = iter([MemoryError("no room")])
 
-    def make(link: Any, control: ControlChannel, keys: SessionKeys) -> DataChannels:
+    def make(end: Any, control: ControlChannel, keys: SessionKeys) -> DataChannels:
         for error in fails:
             raise error
-        return made(link, control, keys)
+        return made(end, control, keys)
 
-    monkeypatch.setattr(side, "channels_class", staticmethod(make))
+    monkeypatch.setattr(side, "new_channels", make)
     if announced:
         find_by_announcements(monkeypatch, bridge)
     engines = bridge.both()

@@ -115,7 +115,7 @@ def test_topics_of_patterns_leave_nothing_behind(tmp_path: Path, monkeypatch: py
         bridge = inside(engines[1])
         (link,) = bridge.role.links()
         # Plain values are not among the objects that are counted.
-        tables = link.patterns, bridge._names
+        tables = link.patterns.names, bridge._names
         eventually(lambda: seen(lambda: not any(each._known for each in tables)), what="names are gone")
     except AssertionError as error:
         raise AssertionError(f"{error}: {counts() - before}") from None

@@ -236,7 +236,7 @@ def test_server_cannot_keep_client_away_for_years(
     assert len(gaps) >= lasting / latest - 1
     assert soonest - 0.01 < min(gaps) <= max(gaps) < latest + 0.01
     assert (max(gaps) - min(gaps) > 5.0) == (retry_after is None)  # many robots do not ask at the same moment
-    assert not network.role.links()[0].shut_down
+    assert not network.role.links()[0].end.shut_down
 
 
 async def test_restart_waits_for_present_topics(
@@ -246,7 +246,7 @@ async def test_restart_waits_for_present_topics(
     replaced.LINKED.set(monkeypatch, True)
     role = ClientRole(make_context(), {"robot1": ()})
     (link,) = role.links()
-    link.add_entry(Topic("/chat", "transmit"))
+    link.entries.add(Topic("/chat", "transmit"))
     (route,) = link.routes.values()
     steps: list[str] = []
     restarting = loop.create_task(role.restart(steps.append))

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import json
 import socket
+from types import SimpleNamespace
 from typing import TYPE_CHECKING
 from unittest.mock import MagicMock
 
 import pytest
 from tests.support import constants
 from tests.support.bridge import happened, link, linked, now
+from tests.support.inside import pretend_linked
 from tests.support.waiting import eventually
 
 from rsb_bridge.config.keys import read_key
 from rsb_bridge.link.control_channel import ControlChannel
-from rsb_bridge.link.link import Link
 from rsb_bridge.link.refused_clients import LinkShutdown
+from rsb_bridge.link.roles import ClientRole
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.reason import EndCode, Reason
 from rsb_bridge.model.snapshot import Level
@@ -27,8 +29,11 @@ from rsb_bridge.wire.sealing import CipherSuite
 from rsb_console.command.formatting import json_status
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from tests.support.bridge import Bridge
 
+    from rsb_bridge.context import Context
     from rsb_bridge.engine import Engine
 
 
@@ -104,11 +109,13 @@ async def test_only_without_a_goodbye_is_there_a_remedy(
 @pytest.mark.parametrize(
     ("code", "cause"), [(EventCode.LINK_LOST, LinkCause.LOST), (EventCode.LINK_CLOSED, LinkCause.CLOSED)]
 )
-def test_link_that_ends_has_cause_of_its_code(code: EventCode, cause: LinkCause) -> None:
-    broken = MagicMock(**{"_channels.is_silent": False})
-    broken.transport.problem = ""
-    Link.lost(broken, "in words", code)
-    assert broken.status.down.call_args.args == (cause, "in words")
+def test_link_that_ends_has_cause_of_its_code(
+    make_context: Callable[..., Context], code: EventCode, cause: LinkCause
+) -> None:
+    (link,) = ClientRole(make_context(), {"robot1": ()}).links()
+    pretend_linked(link, SimpleNamespace(is_fault=False))
+    link.lost("in words", code)
+    assert (link.status.cause, link.status.reason) == (cause, "in words")
 
 
 def test_shut_down_client_names_remedy_on_both_sides(bridge: Bridge) -> None:

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any, cast
 import pytest
 
 from rsb_bridge.link.extension import LinkError
-from rsb_bridge.link.link_patterns import PatternEntry, PeerSubscription
+from rsb_bridge.link.link_patterns import PeerSubscription
+from rsb_bridge.link.pattern_matches import PatternEntry
 from rsb_bridge.link.proposals import authorized
 from rsb_bridge.model.patterns import NAMES_FOLLOWED
 from rsb_bridge.model.session import Topic
@@ -24,6 +25,7 @@ class Side:
     def __init__(self) -> None:
         self.sent: list[Followed] = []
         self.followed: PeerSubscription | None = None
+        self.end = self
 
     def shows(self, name: str, _: str) -> bool:
         return "secret" not in name

@@ -154,7 +154,7 @@ def test_a_warning_begins_when_the_link_becomes_full(loop: VirtualLoop, context:
         assert link.snapshot().fault_since == pytest.approx(up + 100.0)
         loop.jump(10.0)
     link.handlers[Duplicate](Duplicate("10.0.0.9", "spare"))
-    assert link.fault.cause is LinkCause.NAME_TAKEN
+    assert link.fault.cause() is LinkCause.NAME_TAKEN
     assert link.snapshot().fault_since == pytest.approx(up + 130.0)
     link.handlers[Duplicate](Duplicate())
     link.fullness.take_record(FullRecord())
@@ -170,4 +170,4 @@ def test_clocks_that_differ_are_a_warning(seconds: int, words: str, context: Con
     link.clock.add(0, there + 10**6, there + 10**6, 2 * 10**6)
     assert words in link.fault.now().warning
     assert bool(link.fault.now().warning) is bool(words)
-    assert link.fault.cause is (LinkCause.CLOCKS_DIFFER if words else LinkCause.NONE)
+    assert link.fault.cause() is (LinkCause.CLOCKS_DIFFER if words else LinkCause.NONE)

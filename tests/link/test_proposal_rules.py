@@ -57,6 +57,7 @@ class Link:
     def __init__(self, session: Session, *, prefixed: bool) -> None:
         self.context = SimpleNamespace(session=session)
         self.prefixed = prefixed
+        self.end = self
 
     def with_local_name(self, proposal: Propose) -> Propose:
         field = "remote_topic" if proposal.from_client else "topic"

@@ -9,7 +9,7 @@ from tests.support.virtual_time import VirtualClock
 
 from rsb_bridge.link.refused_clients import FORGOTTEN_AFTER, MOST, MOST_OF_ONE_HOST, RefusedClients
 from rsb_bridge.link.roles import ClientRole, ServerRole
-from rsb_bridge.link.server_link import ServerLink
+from rsb_bridge.link.server_end import ServerEnd
 from rsb_bridge.model.verdict import LinkCause
 
 if TYPE_CHECKING:
@@ -52,12 +52,13 @@ def test_it_is_listed_until_it_tries_no_more(loop: VirtualLoop, context: Context
 def test_refused_client_hides_reason_only_briefly(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
     """Anybody who knows its name may have tried."""
     link = ServerRole(make_context(role="server"), {"robot1": ()}).links()[0]
-    assert isinstance(link, ServerLink)
+    end = link.end
+    assert isinstance(end, ServerEnd)
     link.status.down(LinkCause.SILENT, "the peer is silent")
     missing_since = link.snapshot().since
     loop.jump(3600.0)
     for _ in range(5):
-        link.refused(at("10.0.0.9"), LinkCause.WRONG_KEY, "the keys differ")
+        end.refused(at("10.0.0.9"), LinkCause.WRONG_KEY, "the keys differ")
         loop.jump(12.0)
         link.tick()
         assert (link.snapshot().cause, link.snapshot().since) == (LinkCause.WRONG_KEY, missing_since)

@@ -55,6 +55,7 @@ class Side(FakePeer):
     def __init__(self, context: Context, *, is_client: bool) -> None:
         super().__init__()
         self.is_client = is_client
+        self.end = self
         self.context = context
         self.inbox: deque[Any] = deque()
         self.demands_counted = 0

@@ -25,7 +25,7 @@ from rsb_bridge.channel.udp_channel import UdpChannel
 from rsb_bridge.config.keys import read_key
 from rsb_bridge.config.rights import rights_of_client
 from rsb_bridge.link.link_server import Server
-from rsb_bridge.link.server_link import ClientEntry
+from rsb_bridge.link.server_end import ClientEntry
 from rsb_bridge.model.budgets import CONNECTION, Strangers
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Client, Topic
@@ -193,9 +193,9 @@ def test_datagram_of_stranger_costs_one_call_a_link(make_context: Callable[..., 
     clients = [Client(f"robot{number}") for number in range(100)]
     entries = [ClientEntry(each, (), use_name=False, rights=rights_of_client(each, "pc")) for each in clients]
     server = Server(make_context(role="server"), entries, aes=False)
-    for each in server.links.values():
-        pretend_linked(each, SimpleNamespace())
-        each.channels.session_keys = SimpleNamespace(link_id=os.urandom(8))  # type: ignore[assignment]
+    for each in server.ends.values():
+        pretend_linked(each.link, SimpleNamespace())
+        each.link.channels.session_keys = SimpleNamespace(link_id=os.urandom(8))  # type: ignore[assignment]
     socket: Any = SimpleNamespace(port=1)
     channel, calls = counted(lambda: server.new_udp_channel(bytes(8), socket, ("10.0.0.66", 4242)))
     assert channel is None

@@ -74,7 +74,7 @@ class Pair:
         def lists(other: Callable[[], TopicLists]) -> TopicLists:
             link: Any = SimpleNamespace(
                 context=SimpleNamespace(ros=graph, now=time.monotonic),
-                shows=shows,
+                end=SimpleNamespace(shows=shows),
                 send=lambda message: take(other(), self._crossed(message)),
                 spawn=self._spawn,
             )

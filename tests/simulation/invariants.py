@@ -136,9 +136,8 @@ class Invariants:
         if cut_off_at is not None and now - cut_off_at > self._patience * NOTICED_WITHIN and not robot.has_twin:
             for link in ends or ():
                 if link.linked:
-                    world.wrong(
-                        f"{robot.name} is cut off for {now - cut_off_at:.1f} s, and seems linked with {link.address}"
-                    )
+                    text = f"{robot.name} is cut off for {now - cut_off_at:.1f} s"
+                    world.wrong(f"{text}, and seems linked with {link.end.address}")
         if ends is None or robot.troubles:
             self._linked.discard(robot)
             return
@@ -247,7 +246,7 @@ class Invariants:
         for link in world.link_ends(robot) or ():
             route = route_of(link, flow) if link.linked else None
             if route is not None and route.judged.shown(route.verdict()).verdict.state is State.OK:
-                world.wrong(f"{flow} comes out late since {lasted:.1f} s, and {link.address} shows it as ok")
+                world.wrong(f"{flow} comes out late since {lasted:.1f} s, and {link.end.address} shows it as ok")
 
     def _can_flow_now(self, robot: Robot, flow: TopicFlow) -> bool:
         ends = self._world.link_ends(robot)

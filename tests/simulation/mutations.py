@@ -33,7 +33,7 @@ from rsb_bridge.channel.window import Window
 from rsb_bridge.link.keepalive import Keepalive
 from rsb_bridge.link.link_session import LinkSession
 from rsb_bridge.link.route_ids import RouteIds
-from rsb_bridge.link.route_table import RouteTable
+from rsb_bridge.link.route_openings import RouteOpenings
 from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.ros.publication_numbers import PublicationNumbers
 from rsb_bridge.route.calls.action_goals import CallerGoals
@@ -239,7 +239,7 @@ def _kept(self: Any, work: Coroutine[None, None, None]) -> Any:
 
 
 async def _unpaused(self: Any, route: Any, route_id: int, who: str) -> None:
-    """Replace `RouteTable._propose` by a form that never pauses the route."""
+    """Replace `RouteOpenings._propose` by a form that never pauses the route."""
     send = self._link.send
 
     def unpaused(message: Any) -> None:
@@ -302,7 +302,7 @@ MUTATIONS = (
     Mutation("what waits to be sent is not cleared when the channel is lost",
              ((SendQueue, "clear", SendQueue.__len__),), "a part of it is negative", STORM, 2, 1.0),
     Mutation("a new connection is not told what is paused",
-             ((RouteTable, "_propose", _unpaused),), "disagree|do not agree", LIVELY, 5, 1.0),
+             ((RouteOpenings, "_propose", _unpaused),), "disagree|do not agree", LIVELY, 5, 1.0),
     Mutation("a silent peer is not given up",
              ((Keepalive, "_watch_silence", nothing),), "seems linked", STORM, 4, 1.0),
     Mutation("UDP sockets of links that are down are not closed",

@@ -11,7 +11,7 @@ from tests.simulation.faults import duration
 from tests.simulation.sessions import some_topic
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.link.server_link import ServerLink
+from rsb_bridge.link.server_end import ServerEnd
 from rsb_bridge.model.commands import (
     AddTopic,
     EditTopic,
@@ -184,7 +184,7 @@ class Operator:
 
 
 def is_shut_down(link: Link) -> bool:
-    return link.shut_down or (isinstance(link, ServerLink) and link.shut_down_by is not None)
+    return link.end.shut_down or (isinstance(link.end, ServerEnd) and link.end.shut_down_by is not None)
 
 
 def of(world: World) -> Iterator[Coroutine[None, None, None]]:

@@ -131,7 +131,7 @@ class Edits(Yard):
 
     def session(self, side: str) -> tuple[Topic, ...]:
         """The topics that a side would save, with their QoS."""
-        return self.link(on_server=side == "server").listed_topics()
+        return self.link(on_server=side == "server").entries.all()
 
 
 @pytest.fixture

@@ -24,7 +24,7 @@ from tests.support.long import long_cases
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.channel import pacing, window
-from rsb_bridge.link.client_link import ClientLink
+from rsb_bridge.link.client_end import ClientEnd
 from rsb_bridge.link.link_arming import LinkLease
 from rsb_bridge.model.commands import ArmTopic, DisarmTopic, KeepArmed
 from rsb_bridge.model.session import Topic
@@ -551,7 +551,7 @@ def test_each_rule_is_needed(what: str, change: Any, episode: Any, finds: str) -
     armed = Armed(2 if episode is held_for_long else 3, "udp" if is_burst else "tcp", "transmit")
     wide = ((window, "FIRST", 1 << 20), (pacing, "LEAST_ON_PATH", 1 << 20)) if is_burst else ()
     # Another connection would take the place of the one that is held, and disarm.
-    alone = ((ClientLink, "doubts", nothing),) if episode is held_for_long else ()
+    alone = ((ClientEnd, "doubts", nothing),) if episode is held_for_long else ()
     mutation = Mutation(what, (change, *wide, *alone), finds, _CONDITIONS, 3, 0.02)
     with mutation.made(), pytest.raises(Violation, match=mutation.finds):
         armed.play(episode(armed))

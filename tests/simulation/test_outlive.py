@@ -16,7 +16,7 @@ from tests.simulation.world import Violation, World
 from tests.support.long import long
 
 from rsb_bridge.link.client_channels import ClientChannels
-from rsb_bridge.link.client_link import ClientLink
+from rsb_bridge.link.client_end import ClientEnd
 from rsb_bridge.link.link_session import MOST_BYTES, LinkSession
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
@@ -70,7 +70,7 @@ def test_link_stays_on_a_thin_or_slow_path(course: Callable[[World], Coroutine[N
     """Its connection is doubted when the path gets so, at most, and not each second."""
     world = World(1, replace(STILL, outlive=60.0, topics=(2,)))
     with (
-        patch.object(ClientLink, "_connect", autospec=True, side_effect=ClientLink._connect) as attempts,
+        patch.object(ClientEnd, "_connect", autospec=True, side_effect=ClientEnd._connect) as attempts,
         patch.object(LinkSession, "resume", autospec=True, side_effect=LinkSession.resume) as resumed,
     ):
         try:
@@ -181,7 +181,7 @@ async def test_peer_that_denies_proposal_it_used(yard: Yard) -> None:
     assert far.session is not None
     before, handled = link.session.id, far.session.handled
     with patch.object(LinkSession, "acknowledge", lambda *_: None):
-        link.table.propose(yard.routes()["/chat"])
+        link.table.openings.propose(yard.routes()["/chat"])
         await until(lambda: yard.routes()["/chat"].connected, 30.0)
         await asyncio.sleep(1.0)
         far.session.handled = handled

@@ -127,9 +127,9 @@ def test_new_type_is_told_without_room_for_names(yard: Yard) -> None:
     async def live() -> None:
         name = f"/{yard.link().name}/cmd/vel"
         yard.publish(name, on_server=True)
-        await until(lambda: yard.link().patterns.there == {("topic", name): STRING}, _SEEN)
+        await until(lambda: yard.link().patterns.names.there == {("topic", name): STRING}, _SEEN)
         Writer(yard.server.domain, "/another", name, _OTHER, hash_of(_OTHER), Qos())
-        await until(lambda: yard.link().patterns.there == {("topic", name): ""}, 2 * _SEEN)
+        await until(lambda: yard.link().patterns.names.there == {("topic", name): ""}, 2 * _SEEN)
 
     with constants.NAMES_FOLLOWED.during(1):
         yard.world.play(life=yard.live(live()))

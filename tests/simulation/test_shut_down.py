@@ -14,7 +14,7 @@ from tests.simulation.world import World
 from tests.support.long import long
 
 from rsb_bridge.link.link import Link
-from rsb_bridge.link.server_link import ServerLink
+from rsb_bridge.link.server_end import ServerEnd
 from rsb_bridge.model.verdict import LinkCause
 
 if TYPE_CHECKING:
@@ -31,20 +31,20 @@ def test_client_shut_down_for_hours_comes_back(cuts: int) -> None:
     asked: list[float] = []
     shown: set[str] = set()
     up_at: list[float] = []
-    ask, tick = ServerLink.asked, ServerLink.tick
+    ask, tick = ServerEnd.asked, ServerEnd.tick
 
-    def note_question(self: ServerLink, stream: Stream) -> None:
+    def note_question(self: ServerEnd, stream: Stream) -> None:
         asked.append(world.loop.time())
         ask(self, stream)
 
-    def note_state(self: ServerLink) -> None:
+    def note_state(self: ServerEnd) -> None:
         tick(self)
         if 60.0 + 2 * 36.0 < world.loop.time() < 60.0 + _SHUT_DOWN:
-            assert not self.linked
+            assert not self.link.linked
             client = world.robots[0].host.run
             assert client is not None
-            shown.update(str(link.snapshot().cause) for link in (self, *client.links()))
-            assert not client.links()[0].shut_down  # `run --no-ui` would end
+            shown.update(str(link.snapshot().cause) for link in (self.link, *client.links()))
+            assert not client.links()[0].end.shut_down  # `run --no-ui` would end
 
     up = Link.up
 
@@ -53,8 +53,8 @@ def test_client_shut_down_for_hours_comes_back(cuts: int) -> None:
         return up(self, *args)  # type: ignore[arg-type]
 
     with (
-        patch.object(ServerLink, "asked", note_question),
-        patch.object(ServerLink, "tick", note_state),
+        patch.object(ServerEnd, "asked", note_question),
+        patch.object(ServerEnd, "tick", note_state),
         patch.object(Link, "up", note_link),
     ):
         world.play(_PLAYED, shut_down_for(world, _SHUT_DOWN, cuts=cuts))

@@ -47,7 +47,7 @@ def _bridge_of(engine: Engine) -> Bridge | None:
 def pretend_linked(link: Link, control: Any) -> None:
     """Let a link have a connection of which there is only a stand-in of its control channel."""
     channels: Any = SimpleNamespace(control=control, is_silent=False, suspend=lambda _: None, close=lambda: None)
-    link._channels, link.session = channels, LinkSession(bytes(8), "", channels)
+    link.present, link.session = channels, LinkSession(bytes(8), "", channels)
     link.outlives = link.own_outlive  # as if the peer's session were this one's
 
 

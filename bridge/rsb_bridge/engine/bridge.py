@@ -237,7 +237,7 @@ class Bridge:
             for link in self.role.links():
                 await link.table.tick_routes()
                 link.guarded(link.tick)
-                await link.tick_extensions()
+                await link.extensions.tick(link.guarded)
                 await asyncio.sleep(0)  # no message waits until hundreds of links have had their turn
             for part in self._parts:
                 with self._part_may_fail(part):

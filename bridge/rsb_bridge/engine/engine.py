@@ -232,7 +232,7 @@ class Engine(EngineApi):
 
     @property
     def waits_for_operator(self) -> bool:
-        return self._bridge is not None and any(link.shut_down for link in self._bridge.role.links())
+        return self._bridge is not None and any(link.end.shut_down for link in self._bridge.role.links())
 
     @property
     def unreachable(self) -> str:

@@ -110,14 +110,14 @@ class Named(NamedTuple):
         """Its name on this side."""
         if self.route is not None:
             return self.route.local_topic
-        on_server = not self.link.is_client
-        return local_name(self.entry, self.link.name, on_server=on_server, use_name=on_server and self.link.use_name)
+        link, on_server = self.link, not self.link.is_client
+        return local_name(self.entry, link.name, on_server=on_server, use_name=on_server and link.end.use_name)
 
     def routes(self) -> tuple[Route, ...]:
         """Return the topic's route, or the routes that the pattern has made by now."""
         if self.route is not None:
             return (self.route,)
-        return self.link.patterns.routes_of(self.entry)
+        return self.link.patterns.made.routes_of(self.entry)
 
 
 def route_in(links: Iterable[Link], key: str) -> tuple[Link, Route] | None:
@@ -214,7 +214,7 @@ class TopicCommands(EnginePart):
         else:
             # The present name is the client's already, and may look like one with the client's name before it.
             if topic.topic != old.topic:
-                topic = link.client_names(topic)
+                topic = link.end.client_names(topic)
             link.proposed.check_replace(route, topic)
         # Last, because nothing may refuse the edit after that.
         self._drop_demands(named, wanted=drop_arm, names_it=old.arm and not topic.arm)

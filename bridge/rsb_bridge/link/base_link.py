@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -13,30 +12,28 @@ from rsb_bridge.link.link_session import NEVER_HANDLED, LinkSession
 from rsb_bridge.link.route_ids import RouteIds
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level, State
-from rsb_bridge.model.transports import outlive_of, profile_of
+from rsb_bridge.model.transports import outlive_of
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.route.idling import Timetable
 from rsb_bridge.route.lifecycle import Revisions
 from rsb_bridge.route.peer import PeerBudget
-from rsb_bridge.tasks import Tasks, in_slices
+from rsb_bridge.tasks import Tasks
 from rsb_bridge.transport.network_news import device_of
 from rsb_bridge.wire.codec import encode
 from rsb_bridge.wire.messages import Ping, Pong, Receipts
 from rsb_bridge.wire.protocol_error import ProtocolError
 
 if TYPE_CHECKING:
-    import asyncio
-    from collections.abc import Callable, Collection, Coroutine, Sequence
+    from collections.abc import Callable, Collection, Sequence
     from enum import StrEnum
 
     from rsb_bridge.cdr.description import CompareTypes
-    from rsb_bridge.config.rights import Rights
     from rsb_bridge.context import Context
     from rsb_bridge.link.control_channel import Slices
     from rsb_bridge.link.data_channels import DataChannels
     from rsb_bridge.link.keepalive import ChannelCarrier
+    from rsb_bridge.link.link_end import LinkEnd
     from rsb_bridge.link.link_session import UnhandledMessage
-    from rsb_bridge.model.session import Kind
     from rsb_bridge.model.transports import LinkProfile
     from rsb_bridge.route.peer import LinkPath, LinkRates
     from rsb_bridge.route.route import Route
@@ -44,7 +41,7 @@ if TYPE_CHECKING:
     from rsb_bridge.transport.streams import Stream
     from rsb_bridge.wire.connection import ClientConnection, ServerConnection
     from rsb_bridge.wire.events import Established
-    from rsb_bridge.wire.messages import ControlMessageBase, Hello, Propose, UrgentMessage, Welcome
+    from rsb_bridge.wire.messages import ControlMessageBase, Hello, UrgentMessage, Welcome
     from rsb_bridge.wire.sealing import Role
 
 _E = TypeVar("_E", bound=Extension)
@@ -94,23 +91,24 @@ _CAUSES = {EventCode.LINK_LOST: LinkCause.LOST, EventCode.LINK_SHUT_DOWN: LinkCa
 """Causes by the code of a connection's end; with any other code, `LinkCause.CLOSED`."""
 
 
-class BaseLink(ABC):
+class BaseLink:
     """The connection to a peer with the routes that use it, and the features that have registered.
 
-    It has more than 40 methods because ten of them are what a client and a server do differently.
-
+    `rsb_bridge.link.link.Link` is one with all its parts. Its `end` does what a client and a server do differently.
     Facts about a peer or a connection are of the present one, and while the link is down of the last one.
     """
 
-    channels_class: type[DataChannels]
     path: LinkPath
     fullness: LinkRates
+    cause: Callable[[], LinkCause]
+    """Returns the cause of the link's fault, up or down."""
     report_soon: Callable[[Route], None]
     """Sends a route's counts before the next regular report. May be called for every batch."""
     compare_types: CompareTypes
 
-    def __init__(self, context: Context, name: str, *, is_client: bool, encrypted: bool) -> None:
+    def __init__(self, context: Context, name: str, end: LinkEnd, *, is_client: bool, encrypted: bool) -> None:
         self.context = context
+        self.end, self.shared_port = end, end.shared_port
         self.transport = context.transports.of_link(context.session.host)  # of the control connection
         self.name = name  # of the client, on both sides
         self.is_client = is_client
@@ -118,7 +116,7 @@ class BaseLink(ABC):
         self.peer_name = "the server" if is_client else name
         self._peer_role = "the server" if is_client else "the client"
         self.encrypted = encrypted
-        self._channels: DataChannels | None = None  # without a connection
+        self.present: DataChannels | None = None  # of the present connection, if there is one
         self.session: LinkSession | None = None  # while the link is up or suspended
         self._lost_at = 0.0
         self.outlives = 0.0  # s that the session outlives its connection: the smaller number of both sides
@@ -137,6 +135,7 @@ class BaseLink(ABC):
         self.budget = PeerBudget(context.now())  # of what the peer may have this side hold and do
         self.revisions = Revisions()
         self._tasks = Tasks(context.loop, self.fail)
+        self.spawn = self._tasks.spawn  # a task that ends with the link; if it fails, the connection ends
         self.extensions = Extensions()
         self.route_fields, self.meter_of = self.extensions.route_fields, self.extensions.meter_of
         self.verdicts = self.extensions.verdicts
@@ -144,18 +143,10 @@ class BaseLink(ABC):
         self.clock, self.stamps = self.keepalive.clock, self.keepalive.stamps
         self.shortages_told: set[bool] = set()  # of kernel buffers, here or there
         self.handlers: dict[type, Callable[[Any], Slices | None]] = {
-            # Keepalive and channels register theirs with each connection.
             Ping: self._on_ping,
-            Pong: self._on_pong,
-            Receipts: self._on_receipts,
+            Pong: lambda pong: self.keepalive.answered(pong),  # noqa: PLW0108 -- each connection has another one
+            Receipts: lambda receipts: self.channels.take_receipts(receipts),  # noqa: PLW0108 -- as has each session
         }
-
-    @property
-    def changes(self) -> int:
-        """How many routes have come or gone so far."""
-        return self.timetable.changes
-
-    # --- extensions
 
     def extend(self, extension: _E) -> _E:
         """Register a feature of this link, and return it."""
@@ -163,108 +154,60 @@ class BaseLink(ABC):
         self.handlers |= extension.messages
         return extension
 
-    # --- differences of client and server
-
     @property
-    @abstractmethod
-    def cause(self) -> LinkCause:
-        """The cause of the link's fault, up or down."""
-
-    @property
-    @abstractmethod
-    def address(self) -> str:
-        """The peer's address, for operators."""
-
-    @abstractmethod
-    def shared_port(self) -> int:
-        """Return the port or channel of the link itself."""
-
-    @property
-    @abstractmethod
-    def use_name(self) -> bool:
-        """Whether the server prefixes topics with the client's name, as far as this side knows."""
-
-    @property
-    def prefixed(self) -> bool:
-        """Whether this side's own session has the server prefix topics with the client's name."""
-        return self.context.session.use_name if self.is_client else self.use_name
+    def changes(self) -> int:
+        """How many routes have come or gone so far."""
+        return self.timetable.changes
 
     @property
     def profile(self) -> LinkProfile:
         """The session's profile of the link's network."""
-        return profile_of(self.context.session.profile)
+        return self.end.profile
 
     @property
     def own_outlive(self) -> float:
         """Seconds that a session outlives its connection, as far as this side goes."""
-        return outlive_of(self.context.session.outlive, self.profile)
-
-    @property
-    @abstractmethod
-    def rights(self) -> Rights:
-        """The peer's rights on this side."""
-
-    def with_local_name(self, proposal: Propose) -> Propose:
-        """Return the peer's proposal with this side's name for the topic."""
-        return proposal
-
-    def shows(self, topic: str, kind: Kind = "topic") -> bool:
-        """Whether the peer may know that this side's graph has a topic, or a service. May be called from any thread."""
-        return self.rights.shows(topic, kind)
-
-    async def prepare_port(self, route: Route) -> None:
-        """Prepare the port that a route names for the client; a client has none.
-
-        Raises:
-            ListenError: it cannot be bound.
-        """
-        return
+        return outlive_of(self.context.session.outlive, self.end.profile)
 
     # --- the present connection
 
     @property
     def channels(self) -> DataChannels:
         """The present connection's channels; the link has to be up."""
-        assert self._channels is not None
-        return self._channels
+        assert self.present is not None
+        return self.present
 
     @property
     def control(self) -> ControlChannel | None:
-        return self._channels.control if self._channels is not None else None
+        return self.present.control if self.present is not None else None
 
     @property
     def linked(self) -> bool:
-        return self._channels is not None
+        return self.present is not None
 
     @property
     def is_suspended(self) -> bool:
         """Whether it has no connection, and its association lives on."""
-        return self.session is not None and self._channels is None
+        return self.session is not None and self.present is None
 
     @property
     def suspended_since(self) -> float | None:
         """When (s) its connection was lost, if its association lives on without one, or None."""
         return self._lost_at if self.is_suspended else None
 
-    @property
-    def session_ends(self) -> float | None:
-        """When the session ends unless a connection comes, in s since the epoch; None if it has one, or is over."""
-        at = None if self.session is None else self.session.ends_at
-        return None if at is None else self.context.wall_of(self.context.clock.steady() + at - self.context.now())
-
     def carriers(self) -> set[ChannelCarrier]:
-        return self._channels.carriers() if self._channels is not None else set()
+        return self.present.carriers() if self.present is not None else set()
 
     def derive_keys(self, route_id: int, *, proposed_here: bool) -> None:
         """Derive the keys of a route. Call it once for each proposal, in the order in which they cross."""
-        if self._channels is not None:
-            self._channels.session_keys.proposed(route_id, "client" if self.is_client is proposed_here else "server")
+        if self.present is not None:
+            self.present.session_keys.proposed(route_id, "client" if self.is_client is proposed_here else "server")
 
     def closed(self, route_id: int) -> None:
         """Record that an opening of a route is over."""
         self.ids.closed(route_id)
-        if self._channels is not None:
-            self._channels.session_keys.closed(route_id)
+        if self.present is not None:
+            self.present.session_keys.closed(route_id)
 
     def open_channel(self, route: Route) -> None:
         """Open the channel of a route, or begin to; while the link is suspended, its next connection does."""
@@ -276,12 +219,12 @@ class BaseLink(ABC):
     @property
     def down_reason(self) -> str:
         """The reason why it is not linked, for an operator, or an empty string."""
-        return "" if self._channels is not None else self.status.reason
+        return "" if self.present is not None else self.status.reason
 
     @property
     def peer_at(self) -> str:
         """The peer with its address, as the log names it."""
-        return f"{self._peer_role} at {self.address}"
+        return f"{self._peer_role} at {self.end.address}"
 
     def up(self, stream: Stream, connection: ClientConnection | ServerConnection, event: Established) -> ControlChannel:
         """Begin a connection on a stream whose peer is authenticated, and return what takes its further events.
@@ -328,19 +271,19 @@ class BaseLink(ABC):
         session, again = self.session, None
         if session is not None and session.resumes(event):
             session.take_up(event.peer.handled)
-            if self._channels is not None:
-                self._leave()
+            if self.present is not None:
+                self._move()
             again = session.resume(control, event)
         else:
             self.end_session()
-            channels = self.channels_class(self, control, event.keys)
+            channels = self.end.new_channels(control, event.keys)
             session = self.session = LinkSession(event.keys.link_id, event.peer.instance, channels)
-        self._channels = session.channels
+        self.present = session.channels
         return again
 
-    def _leave(self) -> None:
+    def _move(self) -> None:
         """End the connection, and nothing else: the session has another one."""
-        reason, channels, self._channels = "there is another connection", self.channels, None
+        reason, channels, self.present = "there is another connection", self.channels, None
         channels.control.leave(reason)
         self.extensions.suspend()
         channels.suspend(reason)
@@ -365,7 +308,7 @@ class BaseLink(ABC):
 
     def doubts(self) -> None:
         """Take note that the connection may be dead; called several times a second on a client meanwhile."""
-        return
+        self.end.doubts()
 
     def silent(self) -> None:
         """End the connection: nothing has come for as long as the patience lasts."""
@@ -382,9 +325,13 @@ class BaseLink(ABC):
         """End the connection."""
         self.keepalive.stop()
         # Before the extensions end: what they still send goes nowhere, and they find no link.
-        channels, self._channels = self._channels, None
-        if channels is None:
-            return  # `up` has failed, and there was no link
+        channels, self.present = self.present, None
+        if channels is not None:  # else `up` has failed, and there was no link
+            self._down(channels, self.end.why_lost(reason) if code is EventCode.LINK_LOST else reason, code)
+        self.end.lost()
+
+    def _down(self, channels: DataChannels, reason: str, code: EventCode) -> None:
+        """Show why the connection is over, and suspend the session, or end it."""
         cause = _CAUSES.get(code, LinkCause.CLOSED)
         # The most telling first: without its router a link is silent, too.
         if cause is LinkCause.LOST and self.transport.problem:
@@ -430,10 +377,6 @@ class BaseLink(ABC):
             route.destroy()
         self.routes.clear()
 
-    def spawn(self, work: Coroutine[None, None, None]) -> asyncio.Task[None]:
-        """Run a coroutine in a task that ends with the link. If it fails, the connection ends."""
-        return self._tasks.spawn(work)
-
     def guarded(self, work: Callable[[], None]) -> None:
         """Do regular work of this link. If it fails, this link's connection ends, and no other."""
         try:
@@ -442,11 +385,11 @@ class BaseLink(ABC):
             self.context.loop.call_exception_handler({"message": f"link {self.name} failed", "exception": error})
             self.fail()
 
-    def end(self, reason: str, *, retry_after: float | None, code: EventCode = EventCode.LINK_CLOSED) -> None:
+    def leave(self, reason: str, *, retry_after: float | None, code: EventCode = EventCode.LINK_CLOSED) -> None:
         """End the connection on purpose, and tell the peer; without one, at most a session ends."""
-        if self._channels is not None:
+        if self.present is not None:
             self.extensions.leaving()
-            self._channels.control.shut_down(reason, retry_after=retry_after, code=code)
+            self.present.control.shut_down(reason, retry_after=retry_after, code=code)
         else:
             self.end_session()
 
@@ -467,18 +410,18 @@ class BaseLink(ABC):
         """Send a control message; without a connection it waits if the link is suspended, and else nothing happens."""
         if self.session is not None:
             self.session.sends(message)
-        if self._channels is not None:
-            self._channels.control.send(message)
+        if self.present is not None:
+            self.present.control.send(message)
             if self.session is not None and self.session.is_over:
-                self._channels.control.stream.abort(NEVER_HANDLED)  # `lost` comes later
+                self.present.control.stream.abort(NEVER_HANDLED)  # `lost` comes later
         elif self.session is not None and self.session.is_over:
             self.end_session()
 
     def send_urgent(self, message: UrgentMessage) -> None:
         """Send a control message, and over the UDP channels besides: there it does not wait for what a stream lost."""
         self.send(message)
-        if self._channels is not None:
-            self._channels.send_urgent(encode(message))
+        if self.present is not None:
+            self.present.send_urgent(encode(message))
 
     def _on_ping(self, ping: Ping) -> None:
         if self.session is not None:
@@ -490,23 +433,14 @@ class BaseLink(ABC):
         if (pong := self.keepalive.answer(ping)) is not None:
             self.send(pong)
 
-    def _on_pong(self, pong: Pong) -> None:
-        self.keepalive.answered(pong)
-
-    def _on_receipts(self, receipts: Receipts) -> None:
-        self.channels.take_receipts(receipts)
-
     # --- time and figures
 
     def tick(self) -> None:
         """Do the link's own regular work once a second, after the routes' and before that of its extensions."""
-        if self._channels is not None:
+        if self.present is not None:
             self.send(self.keepalive.tick(self.handled))
-            self._channels.tick()
-
-    async def tick_extensions(self) -> None:
-        """Do the regular work of its extensions once a second, in slices: each may look at all routes."""
-        await in_slices(self.extensions.all(), lambda each: self.guarded(each.tick))
+            self.present.tick()
+        self.end.tick()
 
     def log_of_peer(self, level: Level, code: StrEnum, text: str, *, link_status: bool = False) -> None:
         """Add an event about this link that names the peer."""
@@ -517,5 +451,5 @@ class BaseLink(ABC):
         about: About = {"link": self.name, "topic": topic}
         if link_status:
             since = self.context.wall_of(self.status.since)
-            about |= {"state": self.status.state, "since": since, "cause": self.cause}
+            about |= {"state": self.status.state, "since": since, "cause": self.cause()}
         self.context.log(level, code, text, link_status=link_status, **about)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from rsb_bridge.channel.udp_channel import ClientUdpChannel
 from rsb_bridge.link.connecting import Failure
-from rsb_bridge.link.data_channels import CarriedLink, DataChannels
+from rsb_bridge.link.data_channels import DataChannels
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.reason import EndCode, Reason
 from rsb_bridge.model.snapshot import Level
@@ -19,6 +19,7 @@ from rsb_bridge.wire.events import Accepted, Established, Event, StreamName
 if TYPE_CHECKING:
     from rsb_bridge.link.connecting import LetIn
     from rsb_bridge.link.control_channel import ControlChannel
+    from rsb_bridge.link.data_channels import CarriedLink
     from rsb_bridge.transport.transport import DatagramTransport, StreamTransport
     from rsb_bridge.wire.sealing import SessionKeys
 
@@ -26,8 +27,8 @@ _ROUNDS = 3  # times that data streams are opened if others are lost meanwhile: 
 _UDP_RETRIED_AFTER = 1.0  # s until a socket for datagrams is tried again: its topics wait as long. A round figure
 
 
-class OpeningLink(CarriedLink, Protocol):
-    """The members of a client's link (`rsb_bridge.link.client_link.ClientLink`) that its connections use."""
+class StreamDialer(Protocol):
+    """The members of a client's end (`rsb_bridge.link.client_end.ClientEnd`) that its connections use."""
 
     udp_failure: str
 
@@ -46,10 +47,9 @@ class OpeningLink(CarriedLink, Protocol):
 class ClientChannels(DataChannels):
     """The client's end of a connection, which opens the streams and sockets."""
 
-    _link: OpeningLink
-
-    def __init__(self, link: OpeningLink, control: ControlChannel, keys: SessionKeys) -> None:
+    def __init__(self, link: CarriedLink, opener: StreamDialer, control: ControlChannel, keys: SessionKeys) -> None:
         super().__init__(link, control, keys)
+        self._opener = opener
         self._opening: dict[tuple[str, int], asyncio.Task[None]] = {}
         self._wanted = 0  # streams that these tasks open, and that have their descriptors yet to take
         self._udp_retry: asyncio.TimerHandle | None = None
@@ -140,7 +140,7 @@ class ClientChannels(DataChannels):
         host = control.stream.host if transport is link.transport else transport.host(link.context.session)
         # Ranks as of topics: over some transports, small messages go ahead of large ones.
         rank = -1 if large and not transport.multiplexed else 0
-        return await link.open(transport, host, port, connection, let_in, rank, self.session_keys.sample_secret)
+        return await self._opener.open(transport, host, port, connection, let_in, rank, self.session_keys.sample_secret)
 
     def _open_udp(self, transport: DatagramTransport, port: int) -> ClientUdpChannel | None:
         link, address = self._link, self.control.stream.address
@@ -153,9 +153,9 @@ class ClientChannels(DataChannels):
                 channel = ClientUdpChannel(self, transport, server)
             except OSError as error:
                 failure = f"UDP to {transport.format_address(server)}: {os_error_message(error)}"
-        if failure and failure != link.udp_failure:  # it is tried each second; one event is enough
+        if failure and failure != self._opener.udp_failure:  # it is tried each second; one event is enough
             link.log_of_peer(Level.ERROR, EventCode.LINK_UDP_BLOCKED, failure)
-        link.udp_failure = failure
+        self._opener.udp_failure = failure
         if failure:
             self._udp_retry = self._udp_retry or link.context.loop.call_later(_UDP_RETRIED_AFTER, self._retry_udp)
             return None

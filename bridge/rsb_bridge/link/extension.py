@@ -9,6 +9,7 @@ from rsb_bridge.installed_features import failed
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Verdict
 from rsb_bridge.model.wording import Wording
+from rsb_bridge.tasks import in_slices
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Mapping
@@ -141,8 +142,9 @@ class Extensions:
         for each in self._told:
             each.leaving()
 
-    def all(self) -> tuple[Extension, ...]:
-        return tuple(self._all)
+    async def tick(self, guarded: Callable[[Callable[[], None]], None]) -> None:
+        """Do their regular work once a second, in slices: each may look at all routes."""
+        await in_slices(tuple(self._all), lambda each: guarded(each.tick))
 
     def removed(self, route: Route) -> None:
         for each in self._all:

@@ -1,18 +1,15 @@
-"""One peer with its routes, their reports, and all other features of a link.
-
-Clients and servers add how it is connected.
-"""
+"""One peer with its routes, their reports, and all other features of a link."""
 
 from __future__ import annotations
 
-from abc import abstractmethod
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, final
 
 from rsb_bridge.installed_features import added_by
 from rsb_bridge.link.base_link import BaseLink
 from rsb_bridge.link.control_channel import entries_in_slices
 from rsb_bridge.link.extension import Denied, Extension, LinkError
 from rsb_bridge.link.fullness import LinkFullness
+from rsb_bridge.link.link_entries import LinkEntries
 from rsb_bridge.link.link_fault import LinkFault
 from rsb_bridge.link.link_patterns import LinkPatterns
 from rsb_bridge.link.path_watch import PathWatch
@@ -20,7 +17,6 @@ from rsb_bridge.link.proposed_routes import ProposedTopics
 from rsb_bridge.link.questions import TopicLists, TypeQuestions
 from rsb_bridge.link.route_table import RouteTable
 from rsb_bridge.link.subflows import Subflows
-from rsb_bridge.model.demands import sources_of_entries
 from rsb_bridge.model.snapshot import LinkSnapshot
 from rsb_bridge.route.sender import Sender
 from rsb_bridge.tasks import in_slices
@@ -35,10 +31,8 @@ if TYPE_CHECKING:
 
     from rsb_bridge.context import Context
     from rsb_bridge.link.control_channel import Slices
-    from rsb_bridge.model.demands import DemandSource
-    from rsb_bridge.model.session import Topic
-    from rsb_bridge.model.snapshot import TopicInfo, WaySnapshot
-    from rsb_bridge.model.verdict import LinkCause
+    from rsb_bridge.link.link_end import LinkEnd
+    from rsb_bridge.model.snapshot import TopicInfo
     from rsb_bridge.route.route import Route
 
 _REPORTED_AT_ONCE = 25
@@ -177,6 +171,12 @@ class RouteReports(Extension):
         for route in self._link.ids.open_routes():
             self.add(route)
 
+    def peer_leaves(self) -> None:
+        """Take the peer's counts for final, as it leaves with a goodbye."""
+        for route in self._link.routes.values():
+            if isinstance(route.half, Sender):
+                route.half.receiver_left()
+
     def leaving(self) -> None:
         """Send the last counts: what is not in them has not arrived."""
         routes = [*self._link.routes.values()]
@@ -214,6 +214,7 @@ class RouteReports(Extension):
             route.half.reported(entry)
 
 
+@final
 class Link(BaseLink):
     """A peer, its routes and the link's features. It lives on while the peer is away.
 
@@ -223,100 +224,48 @@ class Link(BaseLink):
     path: PathWatch
     fullness: LinkFullness
 
-    def __init__(self, context: Context, name: str, *, is_client: bool, encrypted: bool) -> None:
-        super().__init__(context, name, is_client=is_client, encrypted=encrypted)
+    def __init__(self, context: Context, name: str, end: LinkEnd, *, is_client: bool, encrypted: bool) -> None:
+        super().__init__(context, name, end, is_client=is_client, encrypted=encrypted)
         self.traffic = self.extend(LinkTraffic(self))
         self.subflows = self.extend(Subflows(self))
         # Before the link's fullness: a path that loses packets is not taken for a full one.
         self.path = self.extend(PathWatch(self))
         self.fullness = self.extend(LinkFullness(self, self.path))
         self.fault = self.extend(LinkFault(self, self.path, self.fullness))
+        self.cause = self.fault.cause
         # Before the proposals: Neighbours decides what would loop (PROTOCOL.md, 3).
         self.neighbourhood = self.extend(Neighbourhood(self))
-        self.report_soon = self.extend(RouteReports(self)).add
+        self.reports = self.extend(RouteReports(self))
+        self.report_soon = self.reports.add
         self.table = self.extend(RouteTable(self))
         self.proposed = self.extend(ProposedTopics(self, self.table))
         self.unsaved = self.extend(UnsavedChanges(self))
         self.patterns = self.extend(LinkPatterns(self, self.table, self.proposed))
+        self.entries = LinkEntries(self, self.table, self.proposed, self.patterns)
         self.topic_lists = self.extend(TopicLists(self))
         self.type_questions = self.extend(TypeQuestions(self))
         self.compare_types = self.type_questions.compare
         for feature, extension in added_by("extensions", self):
             extension.feature = feature.name
             self.extend(extension)
-        context.demands.register(self)
-
-    @property
-    def cause(self) -> LinkCause:
-        return self.fault.cause
-
-    @property
-    @abstractmethod
-    def fingerprints(self) -> tuple[str, str]:
-        """Fingerprints of the current and the next key, or empty strings."""
-
-    @property
-    def shut_down(self) -> bool:
-        """Whether the link is down on purpose and waits for this side's operator."""
-        return False
-
-    def way_snapshots(self) -> tuple[WaySnapshot, ...]:
-        """Return the ways to the peer, if there are several."""
-        return ()
-
-    def client_names(self, topic: Topic) -> Topic:
-        """Return a topic, which this side's operator may name as this side does, with the client's names."""
-        return topic
-
-    # --- entries of the session
-
-    def listed_topics(self) -> tuple[Topic, ...]:
-        """Return the topics and patterns that this side proposes. May be called from any thread."""
-        return (*self.proposed.all(), *self.patterns.all())
-
-    def add_entry(self, topic: Topic) -> str:
-        """Bridge one more topic, or follow one more pattern; return its key.
-
-        Raises:
-            LinkError: the entry has a mistake, or exists already.
-        """
-        return self.patterns.add(topic) if topic.is_pattern else self.proposed.add(topic).key
-
-    def demand_sources(self) -> Iterable[DemandSource]:
-        """Yield the entries that demand arming, as operators have left them."""
-        use_name = not self.is_client and self.use_name
-        return sources_of_entries(self.listed_topics(), self.name, on_server=not self.is_client, use_name=use_name)
-
-    def apply_demands(self) -> None:
-        self.table.apply_demands()
-
-    def demand_dropped(self, source: DemandSource) -> None:
-        """Tell the other side that an operator drops a demand."""
-        self.table.arming.demand_dropped(source)
-
-    def peer_leaves(self) -> None:
-        """Take the peer's counts for final, as it leaves with a goodbye."""
-        for route in self.routes.values():
-            if isinstance(route.half, Sender):
-                route.half.receiver_left()
-
-    # --- snapshots
+        context.demands.register(self.entries)
 
     def snapshot(self) -> LinkSnapshot:
-        now = self.context.now()
         linked, traffic, peer = self.linked, self.traffic, self.peer
+        now, steady = self.context.now(), self.context.clock.steady()
+        ends = None if self.session is None else self.session.ends_at
         clock = self.clock if linked else ClockOffset()  # figures of a dead connection are out of date
-        current_key, next_key = self.fingerprints
+        current_key, next_key = self.end.fingerprints
         fault = self.fault.now()
         return LinkSnapshot(
             name=self.name,
-            peer=self.address,
+            peer=self.end.address,
             state=self.status.state,
             reason=self.down_reason,
             since=self.context.wall_of(self.status.since),
             retry_in=self.status.retry_in(now),
             attempts=self.status.attempts,
-            session_ends=self.session_ends,
+            session_ends=None if ends is None else self.context.wall_of(steady + ends - now),
             encrypted=self.encrypted,
             cipher=self.channels.session_keys.suite.name if linked and self.encrypted else "",
             fingerprint=current_key,
@@ -330,7 +279,7 @@ class Link(BaseLink):
             tx_bytes_total=traffic.tx_bytes,
             peer_version=peer.version if peer else "",
             peer_domain=peer.domain_id if peer else None,
-            use_name=self.use_name,
+            use_name=self.end.use_name,
             cause=fault.cause,
             warning=fault.warning,
             warning_since=fault.warning_since,
@@ -339,7 +288,7 @@ class Link(BaseLink):
             loss_out=self.path.loss.share if linked else None,
             loss_in=self.path.into.lost,
             via=self.subflows.used or self.via if linked else "",
-            ways=self.subflows.ways or self.way_snapshots(),
+            ways=self.subflows.ways or self.end.ways_shown(),
             full_out=self.fullness.out,
             full_in=self.fullness.into,
             unsaved_there=self.unsaved.there,

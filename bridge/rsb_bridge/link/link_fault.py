@@ -60,9 +60,8 @@ class LinkFault(Extension):
         )
         return [each for each in found if each[1]]
 
-    @property
     def cause(self) -> LinkCause:
-        """The cause of the link's fault, up or down."""
+        """Return the cause of the link's fault, up or down."""
         return next((cause for cause, _ in self._found()), self._link.status.cause)
 
     def now(self) -> PresentFault:

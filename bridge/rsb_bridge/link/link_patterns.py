@@ -2,34 +2,26 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from itertools import islice
-from operator import itemgetter
-from typing import TYPE_CHECKING, Final, TypeAlias
+from typing import TYPE_CHECKING
 
 import msgspec
 
-from rsb_bridge.config.grants import uses
-from rsb_bridge.config.rights import Use, as_if_listed
+from rsb_bridge.config.rights import as_if_listed
 from rsb_bridge.config.validation import validate_topic
 from rsb_bridge.link.extension import Denied, Extension, LinkError
+from rsb_bridge.link.pattern_matches import Match, PatternEntry, PatternMatches
+from rsb_bridge.link.pattern_routes import PatternRoutes, limit_reached
 from rsb_bridge.link.proposals import KINDS
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.commands import acting
 from rsb_bridge.model.limits import TEXT_LENGTH
-from rsb_bridge.model.names import client_topic, expand_type_name, is_topic_name, server_topic
 from rsb_bridge.model.patterns import (
     EXCEPTIONS_PER_PATTERN,
-    GONE_AFTER,
     NAMES_FOLLOWED,
     PATTERNS_PER_LINK,
-    ROUTES_BY_PATTERNS,
-    ROUTES_PER_PATTERN,
     Pattern,
-    is_hidden,
     is_valid,
 )
-from rsb_bridge.model.qos import AUTO
 from rsb_bridge.model.snapshot import Level, PatternSnapshot, State
 from rsb_bridge.tasks import MOST_AT_ONCE, in_slices
 from rsb_bridge.wire.messages import Follow, Followed, FoundName, NamePattern, Welcome
@@ -37,7 +29,6 @@ from rsb_bridge.wire.messages import Follow, Followed, FoundName, NamePattern, W
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator
 
-    from rsb_bridge.config.rights import Rights
     from rsb_bridge.link.base_link import BaseLink
     from rsb_bridge.link.graph_watch import Named, Names
     from rsb_bridge.link.proposed_routes import ProposedTopics
@@ -45,70 +36,8 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Identity, Kind, Topic
     from rsb_bridge.route.route import Route
 
-_GONE: Final = f"gone for {GONE_AFTER / 60:g} min"
 _IN_ONE_MESSAGE = 200
 """Names of either list: even the longest ones, with four bytes a character, take less than the 1 MiB of a frame."""
-
-_Match: TypeAlias = "tuple[bool, Kind, str, str]"
-"""A name to match: whether it is in this side's graph, its kind, the name, and its type."""
-
-
-class PatternEntry:
-    """An entry of a session whose name is a pattern, ready for matching.
-
-    Args:
-        prefixed: whether the server's names have the prefix if the entry has no `Topic.remote_topic`.
-        always_prefixed: whether other names get the prefix, too, unless they begin with it.
-    """
-
-    def __init__(self, topic: Topic, *, client: str, prefixed: bool, always_prefixed: bool = False) -> None:
-        self.topic = topic
-        # It follows the client's graph: a topic is followed where it is published, a service where its provider is.
-        self.from_client = (topic.direction == "transmit") == (topic.kind == "topic")
-        self.left_out: dict[str, str] = {}  # reasons why matching names could not be bridged, by name
-        self.beyond = 0  # matching names for which there is no room
-        self._here = Pattern(topic.topic)
-        self._remote = None if topic.remote_topic is None else Pattern(topic.remote_topic)
-        self._excepts = [Pattern(each) for each in topic.excepts]
-        self._type = "" if topic.type == AUTO else expand_type_name(topic.type)
-        self._client = client
-        self._prefixed = prefixed and self._remote is None
-        self._always = always_prefixed
-        self.source = Pattern(self.name_of(topic, on_client=self.from_client))  # of names in the followed graph
-
-    def name_of(self, topic: Topic, *, on_client: bool) -> str:
-        """Return the client's or the server's name of this pattern's topic, or of one that it matches."""
-        if on_client:
-            return topic.topic
-        name = topic.remote_topic or topic.topic
-        if self._prefixed or (self._always and client_topic(name, self._client) is None):
-            return server_topic(name, self._client)
-        return name
-
-    def match(self, name: str, type_name: str | None) -> Topic | None:
-        """Return the topic to bridge for a name of the followed graph, or None if it does not match.
-
-        Args:
-            name: the name in that graph.
-            type_name: its type there, an empty string if its endpoints disagree, or None for any type.
-        """
-        parts = self.source.match(name)
-        if parts is None or (self._type and type_name is not None and type_name != self._type):
-            return None
-        on_client = self._here.fill(parts)
-        remote = None if self._remote is None else self._remote.fill(parts)
-        if is_hidden(on_client) or not is_topic_name(on_client) or self._leaves_out(on_client):
-            return None
-        beat = self.topic.beat or (self.topic.topic if self.topic.kind == "topic" else None)
-        return msgspec.structs.replace(self.topic, topic=on_client, remote_topic=remote, excepts=(), beat=beat)
-
-    def claims(self, topic: Topic) -> bool:
-        """Whether it would bring back a topic, if that were removed."""
-        same = (self.topic.kind, self.topic.direction) == (topic.kind, topic.direction)
-        return same and self._here.match(topic.topic) is not None and not self._leaves_out(topic.topic)
-
-    def _leaves_out(self, name: str) -> bool:
-        return any(each.match(name) is not None for each in self._excepts)
 
 
 class PeerSubscription:
@@ -156,7 +85,7 @@ class PeerSubscription:
         kind, name = named
         matches = any(kind == each and pattern.match(name) is not None for each, pattern in self.patterns_here())
         # The other side would end the connection for a longer text (PROTOCOL.md, 3).
-        return matches and max(len(name), len(type_name)) <= TEXT_LENGTH and self._link.shows(name, kind)
+        return matches and max(len(name), len(type_name)) <= TEXT_LENGTH and self._link.end.shows(name, kind)
 
 
 def _found(named: Named, type_name: str) -> FoundName:
@@ -169,25 +98,23 @@ class LinkPatterns(Extension):
 
     Entries with a plain name win over patterns, and the first pattern that a name matches wins over later ones. A topic
     that an operator removes becomes an exception of its patterns, and one that an operator edits an entry of its own.
+
+    Attributes:
+        names: the entries, and the names that match them.
+        made: the routes that they have made.
+        followed: what the peer follows, or None if it follows no names.
     """
 
     def __init__(self, link: BaseLink, table: RouteTable, proposed: ProposedTopics) -> None:
         self._context = link.context
         self._link = link
-        self._table = table
-        self._proposed = proposed
-        self.followed: PeerSubscription | None = None  # the peer's, or None if it follows no names
+        self.followed: PeerSubscription | None = None
         self.messages = {Follow: self._asked, Followed: self._receive}
-        self._entries: list[PatternEntry] = []
-        self._here: Names | None = None  # matching names of this side's graph, or None as long as they are unknown
-        self.there: Names | None = None  # the same of the peer's graph
+        self.names = PatternMatches(link)
+        self.made = PatternRoutes(link, table, proposed, self.names)
         self._unseen = 0  # further matching names that the peer does not tell
         self._request = 0
         self._due = False  # the peer has sent other names, or given up a route
-        self._gone: dict[Route, float] = {}  # whose topic or service is gone, each with the time since when
-        self._known: dict[_Match, tuple[int, Topic] | None] = {}  # which pattern matches
-        self._to_add: dict[Identity, tuple[PatternEntry, Topic]] = {}  # what has no route yet, in order
-        self._logged_full: set[Identity] = set()
         table.on_removed = self.leave_out
         table.on_given_up = self._given_up
 
@@ -195,7 +122,7 @@ class LinkPatterns(Extension):
 
     def all(self) -> tuple[Topic, ...]:
         """Return the patterns, in order. May be called from any thread."""
-        return tuple(entry.topic for entry in tuple(self._entries))
+        return tuple(entry.topic for entry in tuple(self.names.entries))
 
     def add(self, topic: Topic) -> str:
         """Follow one more pattern, and return its key.
@@ -204,7 +131,7 @@ class LinkPatterns(Extension):
             LinkError: it has a mistake or exists already, or there are too many patterns.
         """
         self.check_replace(None, topic)
-        if len(self._entries) >= PATTERNS_PER_LINK:
+        if len(self.names.entries) >= PATTERNS_PER_LINK:
             raise LinkError(Denied.TOO_MANY_PATTERNS(limit=PATTERNS_PER_LINK))
         self._set([*self.all(), topic])
         return self.key_of(topic)
@@ -237,7 +164,7 @@ class LinkPatterns(Extension):
 
     def leave_out(self, route: Route) -> None:
         """Keep patterns from restoring a route that an operator removes."""
-        name, claiming = route.spec.topic, self._claiming(route)
+        name, claiming = route.spec.topic, self.names.claiming(route)
         if not claiming:
             return
         if problem := self.brings_back(route):  # a session with more exceptions is invalid: the route comes back
@@ -245,20 +172,16 @@ class LinkPatterns(Extension):
             return
         self._set(
             msgspec.structs.replace(each.topic, excepts=(*each.topic.excepts, name)) if each in claiming else each.topic
-            for each in self._entries
+            for each in self.names.entries
         )
 
     def brings_back(self, route: Route) -> str:
         """Return why a pattern cannot leave out a route's topic, or an empty string if all can."""
-        for entry in self._claiming(route):
+        for entry in self.names.claiming(route):
             if len(entry.topic.excepts) >= EXCEPTIONS_PER_PATTERN:
                 limit = f"{EXCEPTIONS_PER_PATTERN} exceptions already, which is the limit"
                 return f"pattern {entry.topic.topic} has {limit}: edit it, and use patterns in except"
         return ""
-
-    def _claiming(self, route: Route) -> list[PatternEntry]:
-        """Return the patterns that would bring back a route of this side, in order."""
-        return [each for each in self._entries if each.claims(route.spec)] if route.proposed_here else []
 
     def key_of(self, topic: Topic) -> str:
         """Return the key of a pattern in commands and snapshots of this side. No route has such a key."""
@@ -270,22 +193,18 @@ class LinkPatterns(Extension):
 
     def _set(self, topics: Iterable[Topic], *, by_operator: bool = True) -> None:
         """Follow other patterns. An operator waits until the routes are removed that none matches any more."""
-        before = {entry.topic.identity for entry in self._entries if entry.beyond}
         link = self._link
-        always = isinstance(link.peer, Welcome) and link.peer.use_name
-        self._entries = [
-            PatternEntry(topic, client=link.name, prefixed=link.prefixed, always_prefixed=always) for topic in topics
-        ]
+        prefixed, always = link.end.prefixed, isinstance(link.peer, Welcome) and link.peer.use_name
+        self.made.use(
+            [PatternEntry(topic, client=link.name, prefixed=prefixed, always_prefixed=always) for topic in topics]
+        )
         self._context.demands.changed()
-        self._known.clear()
-        self._to_add = {}  # of the earlier ones
-        self._logged_full &= before & {entry.topic.identity for entry in self._entries}
         self._ask()
         self._context.names_changed()
         if not by_operator:
             self._match_names()
         else:
-            self._reconcile()
+            self.made.reconcile()
 
     # --- the two graphs
 
@@ -301,16 +220,15 @@ class LinkPatterns(Extension):
     def disconnected(self) -> None:
         """Forget the peer's names, without counting them as gone."""
         self.followed = None
-        self.there, self._unseen = None, 0
-        self._reconcile()
+        self.names.there, self._unseen = None, 0
+        self.made.reconcile()
 
     def _ask(self) -> None:
-        theirs = tuple(
-            NamePattern(entry.source.text, entry.topic.kind) for entry in self._entries if not self._is_local(entry)
-        )
+        entries = (entry for entry in self.names.entries if not self.names.is_local(entry))
+        theirs = tuple(NamePattern(entry.source.text, entry.topic.kind) for entry in entries)
         if self._link.linked and (theirs or self._request):  # without patterns, it only ends an earlier Follow
             self._request += 1
-            self.there, self._unseen = None, 0
+            self.names.there, self._unseen = None, 0
             self._link.send(Follow(self._request, theirs))
 
     def _asked(self, message: Follow) -> None:
@@ -321,7 +239,7 @@ class LinkPatterns(Extension):
     def _receive(self, message: Followed) -> None:
         if message.request != self._request:
             return
-        names = {} if self.there is None else self.there
+        names = {} if self.names.there is None else self.names.there
         for each in message.gone:
             if (kind := KINDS.get(each.kind)) is not None:
                 names.pop((kind, each.name), None)
@@ -330,197 +248,42 @@ class LinkPatterns(Extension):
             if kind is not None and ((kind, each.name) in names or len(names) < NAMES_FOLLOWED):
                 names[kind, each.name] = each.type
         # `tick` acts on it: names are matched once a second, however often the peer sends some.
-        self.there, self._unseen, self._due = names, message.more, True
+        self.names.there, self._unseen, self._due = names, message.more, True
 
     def patterns_here(self) -> Collection[tuple[Kind, Pattern]]:
-        return [(entry.topic.kind, entry.source) for entry in self._entries if self._is_local(entry)]
+        return [(entry.topic.kind, entry.source) for entry in self.names.entries if self.names.is_local(entry)]
 
     def update_names(self, names: Names) -> None:
-        if self._entries and names != self._here:
-            self._here = names
+        if self.names.entries and names != self.names.here:
+            self.names.here = names
             self._match_names()
-
-    def _is_local(self, entry: PatternEntry) -> bool:
-        """Whether an entry follows this side's graph."""
-        return entry.from_client == self._link.is_client
 
     # --- routes
 
-    def routes_of(self, pattern: Topic) -> tuple[Route, ...]:
-        """Return the routes that a pattern has made by now."""
-        routes = self._link.routes.values()
-        return tuple(route for route in routes if route.pattern and _identity_of(route) == pattern.identity)
-
     def _match_names(self) -> None:
         """Match the names of the two graphs, many new ones in slices, and reconcile the routes with them."""
-        entries, rights = self._entries, as_if_listed(self._link.rights)
-        new = [key for key in self._names() if key not in self._known]
+        matches, rights = self.names, as_if_listed(self._link.end.rights)
+        entries, new = matches.entries, matches.new_names()
 
-        def match(key: _Match) -> None:
-            if self._entries is entries:  # else other patterns or rights have replaced these between two slices
-                self._known[key] = self._first_match(*key, rights)
+        def match(key: Match) -> None:
+            if matches.entries is entries:  # else other patterns or rights have replaced these between two slices
+                matches.learn(key, rights)
 
         async def match_all() -> None:
             await in_slices(new, match)
-            self._reconcile()
+            self.made.reconcile()
 
         if len(new) > MOST_AT_ONCE:
             self._link.spawn(match_all())
         else:
-            self._reconcile()
-
-    def _names(self) -> Iterator[_Match]:
-        """Yield the names of both graphs, with their types."""
-        for local, names in ((True, self._here), (False, self.there)):
-            for (kind, name), type_name in (names or {}).items():
-                yield local, kind, name, type_name
-
-    def _reconcile(self) -> None:
-        """Remove and change routes so that each is of a matching name, and begin to add the others."""
-        self._to_add = {}  # which ends the slices of an earlier change of names or patterns
-        if not self._entries and not any(route.pattern for route in self._link.routes.values()):
-            return
-        with acting(""):  # a change of the graph is not an operator's action
-            wanted = self._wanted()
-            for each in self._entries:
-                each.beyond, each.left_out = 0, {}
-            self._keep_made(wanted)
-            self._add(wanted)
-
-    def _keep_made(self, wanted: dict[Identity, tuple[PatternEntry, Topic]]) -> None:
-        """Change the routes that patterns have made to what these say now, and drop routes that no pattern matches."""
-        routes = self._link.routes
-        # Others are removed by now, or an operator has made entries of their own of them.
-        self._gone = {each: at for each, at in self._gone.items() if each.pattern and routes.get(each.key) is each}
-        for route in tuple(routes.values()):
-            if not route.pattern:
-                continue
-            if (match := wanted.get(route.spec.identity)) is not None:
-                self._gone.pop(route, None)
-                self._keep(route, *match)
-            elif (entry := self._entry_of(route)) is None:
-                self._drop(route, "no pattern matches it any more")
-            elif (self._here if self._is_local(entry) else self.there) is None:  # unknown, as while the link is down
-                self._gone.pop(route, None)
-            else:
-                self._gone.setdefault(route, self._context.now())
-
-    def _wanted(self) -> dict[Identity, tuple[PatternEntry, Topic]]:
-        """Return the matching topics, each with its winning pattern, in the order of patterns and names."""
-        session, rights = self._context.session, as_if_listed(self._link.rights)
-        own = set(session.own_topics) - {None}  # as most topics have no remote_topic
-        found: list[tuple[int, str, Topic]] = []
-        before, self._known = self._known, {}  # names that are gone are forgotten
-        for key in self._names():
-            match = self._known[key] = before[key] if key in before else self._first_match(*key, rights)
-            if match is not None and own.isdisjoint((key[2], match[1].topic, match[1].remote_topic)):
-                found.append((match[0], key[2], match[1]))
-        found.sort(key=itemgetter(0, 1))
-        wanted: dict[Identity, tuple[PatternEntry, Topic]] = {}
-        for at, _, topic in found:
-            wanted.setdefault(topic.identity, (self._entries[at], topic))
-        return wanted
-
-    def _first_match(
-        self, local: bool, kind: Kind, name: str, type_name: str, rights: Rights
-    ) -> tuple[int, Topic] | None:
-        """Return the index of the first pattern that matches a name, and the topic to bridge."""
-        for at, entry in enumerate(self._entries):
-            if entry.topic.kind == kind and self._is_local(entry) == local:
-                topic = entry.match(name, type_name)
-                if topic is not None and self._may_have(entry, topic, rights):
-                    return at, topic
-        return None
-
-    def _entry_of(self, route: Route) -> PatternEntry | None:
-        """Return the pattern that matches a route's topic, which may be gone, or None."""
-        rights = as_if_listed(self._link.rights)
-        for entry in self._claiming(route):
-            topic = entry.match(entry.name_of(route.spec, on_client=entry.from_client), None)
-            if topic is not None and self._may_have(entry, topic, rights):
-                return entry
-        return None
-
-    def _may_have(self, entry: PatternEntry, topic: Topic, rights: Rights) -> bool:
-        """Whether a pattern may bridge a topic, as this side's own rights say."""
-        link = self._link
-        sends, takes = uses(topic.kind)
-        may = sends if (topic.direction == "transmit") != link.is_client else takes
-        name, transport = entry.name_of(topic, on_client=link.is_client), topic.protocol or link.transport.name
-        return rights.refusal(Use(name, may, transport, topic.kind)) is None
-
-    def _keep(self, route: Route, entry: PatternEntry, topic: Topic) -> None:
-        """Change a route to the present values of its pattern."""
-        if msgspec.structs.replace(topic, paused=route.spec.paused) != route.spec:  # a pause is the operators'
-            try:
-                route = self._proposed.replace(route, topic)
-            except LinkError as error:
-                entry.left_out[topic.topic] = str(error)
-        route.pattern = entry.topic.topic  # `replace` takes it for an operator's edit
-
-    def _add(self, wanted: dict[Identity, tuple[PatternEntry, Topic]]) -> None:
-        """Add routes for topics without one, within the limits, in slices."""
-        counts = Counter(_identity_of(route) for route in self._link.routes.values() if route.pattern)
-        taken = {route.spec.identity for route in self._link.routes.values()}
-        to_add = self._to_add = {identity: each for identity, each in wanted.items() if identity not in taken}
-
-        def add(each: tuple[PatternEntry, Topic]) -> None:
-            if self._to_add is to_add:
-                self._add_one(*each, counts)
-
-        async def add_all() -> None:
-            await in_slices(to_add.values(), add)
-            if self._to_add is to_add:
-                self._log_full()
-
-        if len(to_add) > MOST_AT_ONCE:
-            self._link.spawn(add_all())
-            return
-        for each in to_add.values():
-            add(each)
-        self._log_full()
-
-    def _add_one(self, entry: PatternEntry, topic: Topic, counts: Counter[Identity]) -> None:
-        """Add a route of a pattern; if there is no room, in place of the one whose topic has been gone for longest.
-
-        Args:
-            counts: the present routes by their patterns.
-        """
-        of_entry = entry.topic.identity
-        is_full = counts[of_entry] >= ROUTES_PER_PATTERN
-        if is_full or counts.total() >= ROUTES_BY_PATTERNS:
-            fitting = (each for each in self._gone if not is_full or _identity_of(each) == of_entry)
-            if (gone := min(fitting, key=self._gone.__getitem__, default=None)) is None:
-                entry.beyond += 1
-                return
-            counts[_identity_of(gone)] -= 1
-            self._drop(gone, "gone; its place is needed for others that match")
-        try:
-            self._proposed.add(topic, by_pattern=True).pattern = entry.topic.topic
-        except LinkError as error:
-            if not self._proposed.is_bridged(topic):  # under another name on the client
-                entry.left_out[topic.topic] = str(error)
-        else:
-            counts[of_entry] += 1
-
-    def _drop(self, route: Route, reason: str) -> None:
-        self._gone.pop(route, None)
-        self._table.remove(route, reason, anonymous=True)
+            self.made.reconcile()
 
     def tick(self) -> None:
         """Take the peer's latest names, and remove routes whose topic has long been gone."""
         if self._due:
             self._due = False
             self._match_names()
-        if not self._gone:  # as nearly always
-            return
-        now = self._context.now()
-        made = [route for route in self._link.routes.values() if route.pattern]
-        over = [route for route in made if now - self._gone.get(route, now) >= GONE_AFTER]
-        for route in over:
-            self._drop(route, f"{_GONE}; {route.pattern} matches it again once it is back")
-        if over:
-            self._reconcile()
+        self.made.drop_overdue()
 
     def _given_up(self) -> None:
         """Look soon whether a pattern matches what the other side has given up."""
@@ -528,26 +291,14 @@ class LinkPatterns(Extension):
 
     # --- what operators see
 
-    def _log_full(self) -> None:
-        for entry in self._entries:
-            identity, name = entry.topic.identity, entry.topic.topic
-            if entry.beyond and identity not in self._logged_full:
-                self._logged_full.add(identity)
-                text = f"pattern {name}: {_limit_reached(entry, len(self.routes_of(entry.topic)))}"
-                self._link.log(Level.WARNING, EventCode.LINK_PATTERN_FULL, text, topic=name)
-            elif not entry.beyond and identity in self._logged_full:
-                self._logged_full.discard(identity)
-                text = f"pattern {name}: all that match are bridged"
-                self._link.log(Level.INFO, EventCode.LINK_PATTERN_ROOM, text, topic=name)
-
     def snapshots(self) -> Iterator[PatternSnapshot]:
         """Yield a snapshot of each pattern."""
-        for entry in self._entries:
-            routes = self.routes_of(entry.topic)
-            gone = sum(1 for each in routes if each in self._gone)
+        for entry in self.names.entries:
+            routes = self.made.routes_of(entry.topic)
+            gone = sum(1 for each in routes if each in self.made.gone)
             count = f"{len(routes)} bridged{f', {gone} of them gone' if gone else ''}"
             state, reason = self._state(entry, len(routes), count if routes else "")
-            here = self._is_local(entry)
+            here = self.names.is_local(entry)
             yield PatternSnapshot(
                 key=self.key_of(entry.topic),
                 link=self._link.name,
@@ -562,10 +313,10 @@ class LinkPatterns(Extension):
             )
 
     def _state(self, entry: PatternEntry, routes: int, count: str) -> tuple[State, str]:
-        link, here = self._link, self._is_local(entry)
+        link, here = self._link, self.names.is_local(entry)
         some = f"{count}; " if count else ""
         if entry.beyond:
-            return State.DOWN, f"{some}{_limit_reached(entry, routes)}"
+            return State.DOWN, f"{some}{limit_reached(entry, routes)}"
         if entry.left_out:
             name, reason = next(iter(entry.left_out.items()))
             return State.DOWN, f"{some}{len(entry.left_out)} not bridged: {name}: {reason}"
@@ -573,7 +324,7 @@ class LinkPatterns(Extension):
             return State.PAUSED, count
         if not here and self._unseen:
             return State.DOWN, f"{some}{self._unseen} more match than the other side can list: narrow the patterns"
-        if not here and self.there is None:
+        if not here and self.names.there is None:
             why = "it has just been asked" if link.linked else f"not linked: {link.down_reason or 'not connected yet'}"
             return State.WAITING, f"{some}the other side's names are unknown: {why}"
         if not count:
@@ -581,17 +332,3 @@ class LinkPatterns(Extension):
             but = " except what it leaves out" if entry.topic.excepts else ""
             return State.WAITING, f"nothing {side} matches {entry.source.text}{but}"
         return State.OK, count
-
-
-def _identity_of(route: Route) -> Identity:
-    """Return the identity of the pattern that has made a route."""
-    return route.spec.kind, route.pattern, route.spec.direction
-
-
-def _limit_reached(entry: PatternEntry, routes: int) -> str:
-    """Return how many names exceed which limit, with the remedy."""
-    limit = f"{ROUTES_BY_PATTERNS} for all patterns of a link"
-    if routes >= ROUTES_PER_PATTERN:
-        limit = f"{ROUTES_PER_PATTERN} for a pattern"
-    remedy = "make it narrower, leave some out (except), or list them by name"
-    return f"{entry.beyond} more match, and are not bridged: the limit is {limit}; {remedy}"

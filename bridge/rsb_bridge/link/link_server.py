@@ -16,7 +16,7 @@ from rsb_bridge.installed_features import feature_names
 from rsb_bridge.link.connecting import find_servers
 from rsb_bridge.link.pending_connections import ConnectionStage, Limits, PendingConnection, PendingConnections, Rejected
 from rsb_bridge.link.refused_clients import CAUSES, RefusedClients
-from rsb_bridge.link.server_link import UNKNOWN_ROUTE, ServerLink
+from rsb_bridge.link.server_end import UNKNOWN_ROUTE, ServerEnd
 from rsb_bridge.link.topic_ports import DescriptorShare
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.link.connecting import ProvenServer
     from rsb_bridge.link.control_channel import ControlChannel
-    from rsb_bridge.link.server_link import ClientEntry
+    from rsb_bridge.link.server_end import ClientEntry
     from rsb_bridge.model.reason import Reason
     from rsb_bridge.transport.streams import Address
     from rsb_bridge.transport.transport import DatagramSocket
@@ -66,7 +66,7 @@ class Server:
     """The server's end of all its links.
 
     Attributes:
-        links: by client name; a client in the session has one even before it first connects.
+        ends: those of its links, by client name; a client in the session has one even before it first connects.
         pending: the streams of clients that have not authenticated yet.
         datagrams: takes what sockets bring, as `rsb_bridge.transport.transport.Acceptor` has it.
         refused_clients: refused clients that no link shows.
@@ -81,13 +81,13 @@ class Server:
         self._transport = context.transports.of_link(context.session.host)
         self.datagrams = UdpDemultiplexer(self).received
         self._ports = Ports(context.session, context.transports, self)
-        self.links: dict[str, ServerLink] = {}
+        self.ends: dict[str, ServerEnd] = {}
         for entry in entries:
             self.add_client(entry)
 
     @property
     def entries(self) -> dict[str, ClientEntry]:
-        return {name: link.entry for name, link in self.links.items()}
+        return {name: end.entry for name, end in self.ends.items()}
 
     async def start(self) -> None:
         """Bind the shared port: its streams last, since clients link as soon as these are accepted.
@@ -164,14 +164,14 @@ class Server:
     def add_client(self, entry: ClientEntry) -> None:
         name = entry.client.name
         self.refused_clients.forget(name)
-        self.links[name] = ServerLink(self.context, entry, self._ports, DescriptorShare(name, self.links))
+        self.ends[name] = ServerEnd(self.context, entry, self._ports, DescriptorShare(name, self.ends))
 
     def remove_client(self, name: str) -> None:
         """Stop accepting a client, and end its link."""
-        link = self.links.pop(name)
+        link = self.ends.pop(name).link
         self._expel(name, _SESSION_CHANGED)
-        link.end(f"the server no longer accepts {name}", retry_after=0.0)
-        self.context.demands.unregister(link)
+        link.leave(f"the server no longer accepts {name}", retry_after=0.0)
+        self.context.demands.unregister(link.entries)
         link.destroy()
         for ends in self.context.internal.values():
             ends.forget(name)
@@ -180,7 +180,7 @@ class Server:
     def change_client(self, entry: ClientEntry) -> None:
         name = entry.client.name
         self._expel(name, _SESSION_CHANGED)
-        self.links[name].change_entry(entry)
+        self.ends[name].change_entry(entry)
 
     def _expel(self, name: str, message: str) -> None:
         """Reject the connections that authenticate as this client, whose key or right has changed."""
@@ -192,9 +192,9 @@ class Server:
 
     def shut_down(self, who: str) -> None:
         """End all links, and refuse the clients until they are let in; `who` is the operator, in words."""
-        for name, link in self.links.items():
+        for name, end in self.ends.items():
             self._expel(name, _SHUT_DOWN)  # a client with an earlier Welcome would link
-            link.shut_down_for(who)
+            end.shut_down_for(who)
 
     # --- inbound connections
 
@@ -203,28 +203,29 @@ class Server:
 
     def credential(self, name: str) -> Credential:
         """Return what a client by that name has to prove; raise Refusal if the name is unknown."""
-        link = self.links.get(name)
-        if link is None:
+        end = self.ends.get(name)
+        if end is None:
             raise Refusal(RefusalCode.UNKNOWN_NAME, f"unknown client name {name!r}")
-        return Credential(tuple(key.secret for key in link.entry.keys), link.replays)
+        return Credential(tuple(key.secret for key in end.entry.keys), end.replays)
 
     def _welcome(self, hello: Hello) -> Welcome:
-        link = self.links[hello.name]
+        end = self.ends[hello.name]
+        link = end.link
         welcome = Welcome(
             __version__,
             self.context.session.name,
             os.urandom(LINK_ID_LENGTH),
             self.context.ros.instance_id,
             self.context.domain_id,
-            link.use_name,
+            end.use_name,
             at=self._transport.announced_at,
             features=feature_names(),
             outlive=link.own_outlive,
         )
-        if link.keeps_name_from(hello):
-            return msgspec.structs.replace(welcome, taken=link.name_taken())
-        if link.shut_down_by is not None:
-            return msgspec.structs.replace(welcome, shut_down=link.shut_down_by.refusal())
+        if end.keeps_name_from(hello):
+            return msgspec.structs.replace(welcome, taken=end.name_taken())
+        if end.shut_down_by is not None:
+            return msgspec.structs.replace(welcome, shut_down=end.shut_down_by.refusal())
         if link.session is not None and link.session.may_resume(hello):
             return msgspec.structs.replace(welcome, session=link.session.id, handled=link.handled)
         return welcome
@@ -232,46 +233,47 @@ class Server:
     def established(self, stream: Stream, connection: ServerConnection, event: Established) -> ControlChannel:
         """Link an authenticated client; it replaces an older connection of its name."""
         assert isinstance(event.peer, Hello)
-        link = self.links[event.peer.name]
+        end = self.ends[event.peer.name]
+        link = end.link
         self.refused_clients.forget(link.name)
-        if link.keeps_name_from(event.peer):  # since the handshake began
-            raise Refusal(RefusalCode.NAME_TAKEN, link.name_taken())
+        if end.keeps_name_from(event.peer):  # since the handshake began
+            raise Refusal(RefusalCode.NAME_TAKEN, end.name_taken())
         if event.answer is None or not event.answer.session:
-            text = f"replaced: {link.name} at {link.address} by a newer connection from {stream.peer}"
-            link.end(text, retry_after=_REPLACED_PAUSE, code=EventCode.LINK_REPLACED)
+            text = f"replaced: {link.name} at {end.address} by a newer connection from {stream.peer}"
+            link.leave(text, retry_after=_REPLACED_PAUSE, code=EventCode.LINK_REPLACED)
         elif link.session is None or not link.session.may_resume(event.peer) or link.handled != event.answer.handled:
             raise Refusal(RefusalCode.BUSY, "its session has moved on meanwhile: try again")
-        return link.accept(stream, connection, event)
+        return end.accept(stream, connection, event)
 
     def attach(self, stream: Stream, connection: ServerConnection, event: Attach) -> None:
         """Attach a stream that was opened for routes' data; raise Refusal if none needs it."""
-        if (link := self._link_of(event.link_id)) is None:
+        if (end := self._end_of(event.link_id)) is None:
             raise Refusal(RefusalCode.NO_SUCH_ROUTE, UNKNOWN_ROUTE)
-        link.channels.accept(stream, connection, event)
+        end.channels.accept(stream, connection, event)
 
     def refused(self, name: str, stream: Stream, code: RefusalCode, message: str) -> str:
         """Show on the link of that name that a client was refused; one of another version says no name.
 
         Return the name of the link that shows it, or an empty string.
         """
-        link = self.links.get(name)
-        if link is None and code is RefusalCode.WRONG_VERSION:
-            links = self.links.values()
-            at_host = [each for each in links if each.seen_host == stream.host] or list(links)
-            link = at_host[0] if len(at_host) == 1 else None
+        end = self.ends.get(name)
+        if end is None and code is RefusalCode.WRONG_VERSION:
+            ends = self.ends.values()
+            at_host = [each for each in ends if each.seen_host == stream.host] or list(ends)
+            end = at_host[0] if len(at_host) == 1 else None
         cause = CAUSES.get(code, LinkCause.REFUSED)
-        if link is None or link.linked:
+        if end is None or end.link.linked:
             self.refused_clients.record_attempt(stream, name, cause, message)
         else:
-            link.refused(stream, cause, message)
-        return "" if link is None else link.name
+            end.refused(stream, cause, message)
+        return "" if end is None else end.link.name
 
-    def _link_of(self, link_id: bytes) -> ServerLink | None:
-        return next((link for link in self.links.values() if link.has_id(link_id)), None)
+    def _end_of(self, link_id: bytes) -> ServerEnd | None:
+        return next((end for end in self.ends.values() if end.has_id(link_id)), None)
 
     def new_udp_channel(self, link_id: bytes, socket: DatagramSocket, address: Address) -> ServerUdpChannel | None:
-        link = self._link_of(link_id)
-        return link.channels.new_udp_channel(socket, address) if link is not None else None
+        end = self._end_of(link_id)
+        return end.channels.new_udp_channel(socket, address) if end is not None else None
 
 
 class InboundStreams(PendingConnections):
@@ -283,7 +285,7 @@ class InboundStreams(PendingConnections):
 
     def _expected(self, host: str) -> int:
         """Return how many streams linked clients have yet to open."""
-        linked = (link.channels for link in self._server.links.values() if link.linked)
+        linked = (end.channels for end in self._server.ends.values() if end.link.linked)
         return sum(each.streams_awaited for each in linked if host in ("", each.control.stream.host))
 
 
@@ -357,11 +359,11 @@ class _InboundStream(PendingConnection, StreamHandler):
 
     def _refuse_proven(self, code: RefusalCode, message: str, peer: Hello) -> None:
         """Refuse a client that has the key, which is no failed authentication, and show that on its link."""
-        link = self._server.links.get(peer.name)
-        if link is not None and code is RefusalCode.NAME_TAKEN:
-            link.duplicate_tried(self._stream.host, peer.host)
-        elif link is not None and code is RefusalCode.SHUT_DOWN:
-            link.asked(self._stream)
+        end = self._server.ends.get(peer.name)
+        if end is not None and code is RefusalCode.NAME_TAKEN:
+            end.duplicate_tried(self._stream.host, peer.host)
+        elif end is not None and code is RefusalCode.SHUT_DOWN:
+            end.asked(self._stream)
         self._log(_CODES.get(code, EventCode.LINK_REJECTED), message, link=self.name)
         self._stream.close(message)
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from rsb_bridge.telemetry.event_log import EventLog
 
 _HANDSHAKE_WITHIN = 10.0
-"""s, as long as a client waits for an answer (`client_link`). On a path with 2 s each way, a handshake takes 4 s, or 8
+"""s, as long as a client waits for an answer (`client_end`). On a path with 2 s each way, a handshake takes 4 s, or 8
 if the server asks for another cipher suite."""
 _FAILURES = 5
 _FAILURES_WITHIN = 30.0

@@ -192,7 +192,7 @@ def edited_entry(entry: Topic, old: Propose, new: Propose, link: BaseLink) -> To
     if "features" in changed:
         changed["features"] = of_this_side(entry.features) | after.features
     if changed.keys() & {"topic", "remote_topic"}:
-        usual_name = server_topic(after.topic, link.name) if link.use_name else after.topic
+        usual_name = server_topic(after.topic, link.name) if link.end.use_name else after.topic
         changed["remote_topic"] = None if after.remote_topic == usual_name else after.remote_topic
     return msgspec.structs.replace(entry, **changed)
 
@@ -201,7 +201,7 @@ def _with_server_name(proposal: Propose, link: BaseLink) -> Propose:
     """Return this side's proposal with the name that the server gives the topic."""
     field = "remote_topic" if proposal.from_client else "topic"
     name = getattr(proposal, field)
-    if link.is_client and link.use_name and client_topic(name, link.name) is None:
+    if link.is_client and link.end.use_name and client_topic(name, link.name) is None:
         proposal = msgspec.structs.replace(proposal, **{field: server_topic(name, link.name)})
     return proposal
 
@@ -242,7 +242,7 @@ def authorized(proposal: Propose, link: BaseLink) -> tuple[Entry, Route | None]:
         _check_internal(entry, proposal, purpose, link)
         return Entry(entry, proposal), link.routes.get(route_key(link.name, proposal))
     entry = check_wanted(proposal, link)
-    ours = link.with_local_name(proposal)
+    ours = link.end.with_local_name(proposal)
     if renamed := ours != proposal:
         entry = topic_of(ours)
     for problem in problems_here(entry, link.context.session, renamed=renamed):
@@ -266,7 +266,7 @@ def check_wanted(proposal: Propose, link: BaseLink) -> Topic:
 
 def check_use(use: Use, link: BaseLink) -> None:
     """Raise `LinkError` if the peer may not use a topic of this side."""
-    if refusal := link.rights.refusal(use):
+    if refusal := link.end.rights.refusal(use):
         raise LinkError(str(refusal))
     if use.may == "publish" and use.topic == link.context.session.shutdown_topic:
         raise LinkError(Denied.SHUTDOWN_TOPIC(topic=use.topic))
@@ -279,7 +279,7 @@ def _check_internal(entry: Topic, proposal: Propose, purpose: Purpose, link: Bas
         raise LinkError(str(problem))
     if proposal.qos is not None and proposal.qos.latched:
         raise LinkError(f"a route for {purpose.name} needs a QoS that keeps nothing for late joiners")
-    if refusal := _refusal(proposal, link, link.rights) or link.extensions.serving(purpose).refusal(proposal.topic):
+    if refusal := _refusal(proposal, link, link.end.rights) or link.extensions.serving(purpose).refusal(proposal.topic):
         raise LinkError(str(refusal))
 
 
@@ -339,4 +339,4 @@ def allow_rate(route: Route, link: BaseLink) -> bool:
     """Limit a route to the rate that the peer may have. Return whether the limit has changed."""
     if not route.purpose.in_graph:
         return False  # the feature that serves the purpose has limits of its own
-    return route.limit.allow_here(link.rights.max_rate(use_of(route.proposal, is_client=link.is_client)))
+    return route.limit.allow_here(link.end.rights.max_rate(use_of(route.proposal, is_client=link.is_client)))

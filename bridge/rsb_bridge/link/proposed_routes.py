@@ -134,11 +134,11 @@ class ProposedTopics(Extension):
 
     def _entry(self, topic: Topic) -> Entry:
         """Return an entry of this side's session with its proposal; raise `LinkError` if it has a mistake."""
-        link, session, prefixed = self._link, self._context.session, self._link.prefixed
+        link, session, prefixed = self._link, self._context.session, self._link.end.prefixed
         for problem in validate_topic(topic, session, client=link.name if prefixed else None):
             raise LinkError(str(problem))
         transport = self._context.transports[transport_of(topic, session).name]
-        proposal = proposal_of(topic, transport, client_name=link.name, use_name=prefixed, profile=link.profile)
+        proposal = proposal_of(topic, transport, client_name=link.name, use_name=prefixed, profile=link.end.profile)
         check_features(use_of(proposal, is_client=link.is_client), session)
         return Entry(topic, proposal)
 
@@ -229,7 +229,7 @@ class ProposedTopics(Extension):
         check_wanted(message.wanted, link)
         seen, wanted = message.seen, message.wanted
         if (wanted.topic, wanted.remote_topic) != (seen.topic, seen.remote_topic):
-            wanted = link.with_local_name(wanted)  # with `use_name`, a client reaches only its own names
+            wanted = link.end.with_local_name(wanted)  # with `use_name`, a client reaches only its own names
         before = route.spec
         entry = edited_entry(before, seen, wanted, link)
         renamed = (before.identity, before.remote_topic) != (entry.identity, entry.remote_topic)

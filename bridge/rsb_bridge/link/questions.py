@@ -302,7 +302,8 @@ class TopicLists(AskingExtension):
         shown = [
             entry
             for entry in graph_of(self._link.context.ros, CALLED)
-            if max(len(entry.topic), len(entry.type_name)) <= TEXT_LENGTH and self._link.shows(entry.topic, entry.kind)
+            if max(len(entry.topic), len(entry.type_name)) <= TEXT_LENGTH
+            and self._link.end.shows(entry.topic, entry.kind)
         ]
         most = MOST_TOPICS
         while True:

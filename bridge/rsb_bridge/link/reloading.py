@@ -22,11 +22,11 @@ if TYPE_CHECKING:
 
     from rsb_bridge.config.keys import Key
     from rsb_bridge.config.rights import Rights
-    from rsb_bridge.link.client_link import ClientLink
+    from rsb_bridge.link.client_end import ClientEnd
     from rsb_bridge.link.link import Link
     from rsb_bridge.link.link_patterns import LinkPatterns
     from rsb_bridge.link.link_server import Server
-    from rsb_bridge.link.server_link import ClientEntry, ServerLink
+    from rsb_bridge.link.server_end import ClientEntry, ServerEnd
     from rsb_bridge.model.session import Identity, Session
     from rsb_bridge.route.route import Route
 
@@ -49,12 +49,13 @@ class ReloadStep:
     apply: Callable[[], object]  # makes the change; if it raises `LinkError`, nothing has changed
 
 
-def client_steps(link: ClientLink, session: Session, key: Key | None) -> Iterator[ReloadStep]:
+def client_steps(end: ClientEnd, session: Session, key: Key | None) -> Iterator[ReloadStep]:
     """Yield the changes of a client; its new key is None without encryption."""
-    if link.key != key:
+    link = end.link
+    if end.key != key:
         effect = "the link is closed, and connects again with the new key"
-        (change,) = _key_changes(link.fingerprints, (fingerprint(key) if key is not None else "", ""))
-        yield ReloadStep(f"{change}: {effect}", partial(link.change_key, key))
+        (change,) = _key_changes(end.fingerprints, (fingerprint(key) if key is not None else "", ""))
+        yield ReloadStep(f"{change}: {effect}", partial(end.change_key, key))
     yield from _topic_steps(link, session.topics)
     listed = {topic.identity for topic in session.topics}
     own = {route.spec.identity for route in link.routes.values() if route.proposed_here or route.listed}
@@ -65,19 +66,19 @@ def client_steps(link: ClientLink, session: Session, key: Key | None) -> Iterato
     differs = changes(link.context.session, session, only=("allow", "deny", *peer_keys()))
     effect = _denial_effect(link, rights_of_server(session, listed))
     if differs or effect:
-        yield ReloadStep(": ".join(filter(None, (", ".join(differs), effect))), partial(link.change_listed, listed))
+        yield ReloadStep(": ".join(filter(None, (", ".join(differs), effect))), partial(end.change_listed, listed))
 
 
 def server_steps(server: Server, entries: list[ClientEntry]) -> Iterator[ReloadStep]:
     """Yield the changes of a server."""
     wanted = {entry.client.name: entry for entry in entries}
     for name, entry in tuple(server.entries.items()):
-        link, new = server.links[name], wanted.get(name)
+        end, new = server.ends[name], wanted.get(name)
         if new is None:
-            text = ClientStep.REMOVED_WHILE_LINKED if link.linked else ClientStep.REMOVED
+            text = ClientStep.REMOVED_WHILE_LINKED if end.link.linked else ClientStep.REMOVED
             yield ReloadStep(text(name=name), partial(server.remove_client, name))
         elif parts := _client_changes(entry, new):
-            effect = _client_effect(link, new)
+            effect = _client_effect(end, new)
             yield ReloadStep(f"client {name}: {', '.join(parts)}{effect}", partial(server.change_client, new))
     for name, entry in wanted.items():
         if name not in server.entries:
@@ -88,7 +89,7 @@ def server_steps(server: Server, entries: list[ClientEntry]) -> Iterator[ReloadS
             for topic in entry.client.topics:
                 yield ReloadStep(f"client {name}: {_added(topic)}", partial(_add_to_client, server, name, topic))
         else:
-            for step in _topic_steps(server.links[name], entry.client.topics):
+            for step in _topic_steps(server.ends[name].link, entry.client.topics):
                 yield ReloadStep(f"client {name}: {step.text}", step.apply)
 
 
@@ -101,11 +102,11 @@ def _client_changes(old: ClientEntry, new: ClientEntry) -> list[str]:
     return parts or changes(old.client, new.client, leave_out=("topics",))
 
 
-def _client_effect(link: ServerLink, new: ClientEntry) -> str:
-    effects = []
-    if link.linked and not link.stays_valid(new):
+def _client_effect(end: ServerEnd, new: ClientEntry) -> str:
+    effects, link = [], end.link
+    if link.linked and not end.stays_valid(new):
         effects.append("its link is closed, and comes back once the client has the new key")
-    elif link.linked and link.entry.use_name != new.use_name:
+    elif link.linked and end.entry.use_name != new.use_name:
         effects.append("its link is closed, and comes back at once")
     if denial := _denial_effect(link, new.rights):
         effects.append(denial)
@@ -130,7 +131,7 @@ def _topic_steps(link: Link, topics: Sequence[Topic]) -> Iterator[ReloadStep]:
             yield ReloadStep(_removed(route.spec), partial(_remove, link, identity))
     for identity, topic in wanted.items():
         if (listed := routes.get(identity)) is None:
-            yield ReloadStep(_added(topic), partial(link.add_entry, topic))
+            yield ReloadStep(_added(topic), partial(link.entries.add, topic))
         elif listed.spec != topic:
             goes_on = not listed.proposed_here or link.proposed.can_amend(listed, topic)
             effect = "" if goes_on else "; reopened, counted from 0"
@@ -163,8 +164,8 @@ def _removed(topic: Topic) -> str:
 
 
 def _add_to_client(server: Server, name: str, topic: Topic) -> None:
-    if name in server.links:
-        server.links[name].add_entry(topic)
+    if name in server.ends:
+        server.ends[name].link.entries.add(topic)
 
 
 def _remove(link: Link, identity: Identity) -> None:

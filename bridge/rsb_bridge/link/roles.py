@@ -14,11 +14,11 @@ from rsb_bridge import __version__
 from rsb_bridge.config.keys import Key
 from rsb_bridge.config.rights import rights_of_client
 from rsb_bridge.installed_features import feature_names
-from rsb_bridge.link.client_link import ClientLink
+from rsb_bridge.link.client_end import ClientEnd
 from rsb_bridge.link.extension import Denied, LinkError
 from rsb_bridge.link.link_server import Server
 from rsb_bridge.link.reloading import ReloadStep, client_steps, server_steps
-from rsb_bridge.link.server_link import ClientEntry
+from rsb_bridge.link.server_end import ClientEntry
 from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.names import client_topic
@@ -33,7 +33,6 @@ from rsb_bridge.wire.sealing import CipherSuite
 if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.link.link import Link
-    from rsb_bridge.link.server_link import ServerLink
     from rsb_bridge.model.session import Session, Topic
     from rsb_bridge.model.snapshot import RefusedClient
     from rsb_bridge.route.route import Route
@@ -73,12 +72,13 @@ class ClientRole:
         instance, host = context.ros.instance_id, socket.gethostname()
         hello = Hello(__version__, session.name, instance, context.domain_id, host, feature_names())
         self._context = context
-        self._link = ClientLink(context, hello, _own(keys, session), preferred_suite())
+        self._end = ClientEnd(context, hello, _own(keys, session), preferred_suite())
+        self._link = self._end.link
         self._tasks = Tasks(context.loop, self._link.fail)
 
     async def start(self) -> None:
-        await in_slices(self._context.session.topics, self._link.add_entry)
-        self._tasks.keep(self._link.run, Backoff(_RESTARTED_AFTER, _LONGEST_PAUSE, self._context.random))
+        await in_slices(self._context.session.topics, self._link.entries.add)
+        self._tasks.keep(self._end.run, Backoff(_RESTARTED_AFTER, _LONGEST_PAUSE, self._context.random))
 
     async def stop(self) -> None:
         self._tasks.cancel()  # else it would connect again after its goodbye
@@ -88,7 +88,7 @@ class ClientRole:
     @property
     def session(self) -> Session:
         armed = self._context.demands.written
-        return msgspec.structs.replace(self._context.session, topics=self._link.listed_topics(), armed=armed)
+        return msgspec.structs.replace(self._context.session, topics=self._link.entries.all(), armed=armed)
 
     @property
     def unsaved(self) -> bool:
@@ -96,7 +96,7 @@ class ClientRole:
 
     @property
     def keys(self) -> Keys:
-        return {self._link.name: () if self._link.key is None else (self._link.key,)}
+        return {self._link.name: () if self._end.key is None else (self._end.key,)}
 
     def links(self) -> list[Link]:
         return [self._link]
@@ -108,23 +108,23 @@ class ClientRole:
         """Do nothing: the link has its own tick."""
 
     def add(self, topic: Topic, link: str) -> tuple[Link, str, Topic]:
-        return self._link, self._link.add_entry(topic), topic
+        return self._link, self._link.entries.add(topic), topic
 
     def steps_to(self, session: Session, keys: Keys) -> Iterator[ReloadStep]:
-        return client_steps(self._link, session, _own(keys, session))
+        return client_steps(self._end, session, _own(keys, session))
 
     def retry(self, link: str) -> None:
-        self._link.retry()
+        self._end.retry()
 
     def shut_down(self, who: str) -> None:
-        self._link.stay_down(f"shut down by {who}")
+        self._end.stay_down(f"shut down by {who}")
 
     async def restart(self, step: ReportStep) -> None:
         if self._link.control is not None:
-            step(f"closing the link with {self._link.address} on both sides")
+            step(f"closing the link with {self._end.address} on both sides")
             self._link.control.shut_down("restart", retry_after=0.0)
-        step(f"connecting to {self._link.address}")
-        self._link.retry()
+        step(f"connecting to {self._end.address}")
+        self._end.retry()
         await _until(lambda: self._link.linked, lambda: self._link.status.reason)
         step("linked; opening topics and services")
 
@@ -154,8 +154,8 @@ class ServerRole:
 
     async def start(self) -> None:
         """Bind; raise ListenError if a port of this machine cannot be bound."""
-        for link in self._server.links.values():
-            await in_slices(link.entry.client.topics, link.add_entry)
+        for end in self._server.ends.values():
+            await in_slices(end.entry.client.topics, end.link.entries.add)
         if failure := await self._bind():
             # An address of this machine that cannot be bound is a mistake; a router elsewhere may come later.
             if self._context.transports.of_link(self._context.session.host).local:
@@ -171,8 +171,8 @@ class ServerRole:
 
     @property
     def session(self) -> Session:
-        links = tuple(self._server.links.values())
-        clients = tuple(msgspec.structs.replace(link.entry.client, topics=link.listed_topics()) for link in links)
+        ends = tuple(self._server.ends.values())
+        clients = tuple(msgspec.structs.replace(each.entry.client, topics=each.link.entries.all()) for each in ends)
         session = msgspec.structs.replace(self._context.session, armed=self._context.demands.written)
         # The form of a session for one client has no place for topics that the server proposes; without any, it stays.
         if session.clients is None and not any(client.topics for client in clients):
@@ -188,7 +188,7 @@ class ServerRole:
         return {name: entry.keys for name, entry in self._server.entries.items()}
 
     def links(self) -> list[Link]:
-        return list(self._server.links.values())
+        return [end.link for end in self._server.ends.values()]
 
     def refused(self) -> tuple[RefusedClient, ...]:
         return self._server.refused_clients.shown()
@@ -203,29 +203,29 @@ class ServerRole:
             LinkError: the topic has a mistake or exists already, or it is unclear which link is meant.
         """
         chosen = self._chosen(link, topic.topic)
-        topic = chosen.client_names(topic)
-        return chosen, chosen.add_entry(topic), topic
+        topic = chosen.end.client_names(topic)
+        return chosen, chosen.entries.add(topic), topic
 
     def steps_to(self, session: Session, keys: Keys) -> Iterator[ReloadStep]:
         return server_steps(self._server, _entries(session, keys))
 
-    def _chosen(self, name: str, topic: str) -> ServerLink:
+    def _chosen(self, name: str, topic: str) -> Link:
         """Return the named link; without a name, the only link, or the only one whose prefix the topic has."""
-        links = self._server.links
+        links = {link.name: link for link in self.links()}
         if name in links:
             return links[name]
         found = list(links.values())
         if len(found) > 1:
-            found = [link for link in found if link.use_name and client_topic(topic, link.name) is not None]
+            found = [link for link in found if link.end.use_name and client_topic(topic, link.name) is not None]
         if not name and len(found) == 1:
             return found[0]
         raise LinkError(Denied.WHICH_CLIENT(clients=", ".join(links)))
 
     def retry(self, link: str) -> None:
-        for robot in self._server.links.values():
-            if link in ("", robot.name):
+        for robot in self._server.ends.values():
+            if link in ("", robot.link.name):
                 robot.readmit()
-                robot.table.retry()
+                robot.link.table.retry()
 
     def shut_down(self, who: str) -> None:
         """Close every link on both sides until an operator restarts."""
@@ -239,7 +239,7 @@ class ServerRole:
 
     async def _restart(self, step: ReportStep) -> None:
         linked = [link for link in self.links() if link.linked]
-        for robot in self._server.links.values():
+        for robot in self._server.ends.values():
             robot.readmit()
         step(f"closing {len(linked)} {plural(len(linked), 'link')} on both sides")
         if self._binding is not None:
@@ -298,7 +298,7 @@ async def _farewell(links: Iterable[Link], reason: str) -> None:
     links = [*links]
     streams = [link.control.stream for link in links if link.control is not None]
     for link in links:
-        link.end(reason, retry_after=0.0)
+        link.leave(reason, retry_after=0.0)
     loop = asyncio.get_running_loop()
     deadline = loop.time() + _FAREWELL
     while any(not stream.gone for stream in streams) and loop.time() < deadline:  # noqa: ASYNC110 -- plain state, polled for a moment

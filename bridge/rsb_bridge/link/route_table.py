@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, TypeAlias, get_args
+from typing import TYPE_CHECKING, TypeAlias, get_args
 
 import msgspec
 
 from rsb_bridge.config.overlaps import overlap
 from rsb_bridge.link.extension import Denied, Extension, LinkError, RefusedError
 from rsb_bridge.link.holder_questions import HolderQuestions
-from rsb_bridge.link.link_arming import DROPPED, LinkArming
+from rsb_bridge.link.link_arming import DROPPED
 from rsb_bridge.link.peer_operators import PeerOperators, acting_operator
 from rsb_bridge.link.proposals import (
     ARMING_KEYS,
@@ -22,11 +22,10 @@ from rsb_bridge.link.proposals import (
     denied,
     edited_entry,
     listed_differently,
-    place_of,
     same_route,
 )
+from rsb_bridge.link.route_openings import RouteOpenings
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.limits import ROUTES_PER_LINK
 from rsb_bridge.model.purposes import purposes
 from rsb_bridge.model.reason import EndCode, Reason
 from rsb_bridge.model.snapshot import Level
@@ -38,16 +37,14 @@ from rsb_bridge.route.receiver import Receiver
 from rsb_bridge.route.route import Entry, Route, route_key
 from rsb_bridge.route.sender import Sender
 from rsb_bridge.tasks import in_slices
-from rsb_bridge.transport.transport import ListenError
 from rsb_bridge.wire import messages as wire
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable
 
     from rsb_bridge.link.base_link import BaseLink
     from rsb_bridge.model.session import Identity, Topic
     from rsb_bridge.route.half import Half
-    from rsb_bridge.wire.records import RefuseCode
 
 _FromHalf: TypeAlias = wire.Describe | wire.Ready | wire.Publishers | wire.Provide
 _FromOperator: TypeAlias = wire.ByHand | wire.ArmingMessage | wire.HolderMessage
@@ -63,13 +60,12 @@ _OF_CALLS: tuple[type[Half], type[Half]] = Caller, Provider
 class RouteTable(Extension):
     """Negotiates a link's routes, which live on while the peer is away.
 
-    It has more than 40 methods because some twenty control messages are about routes, and each has its part here.
-
     Attributes:
         listed: identities of the topics that this side proposes; named ones stay even if the other side removes them.
         on_removed: is called with a route that an operator of the other side has removed.
         on_given_up: is called after the other side has given up a route.
         changed_by_peer: whether operators of the other side have changed this session, and its file may lack that.
+        openings: opens them.
         peer_operators: records what operators of the other side do.
     """
 
@@ -82,16 +78,15 @@ class RouteTable(Extension):
         self._context = link.context
         self._link = link
         self._down_reason = ""
-        self._refused: dict[str, str] = {}  # the last reason for which a topic of the peer was refused
-        self._to_propose: dict[Route, None] = {}  # in this order, in slices
         self.peer_operators = PeerOperators(link.context, "server" if link.is_client else link.name)
-        self.arming = LinkArming(link, self.peer_operators, self.propose)
+        self.openings = RouteOpenings(link, self.peer_operators)
+        self.arming = self.openings.arming
         self.questions = HolderQuestions(link, self.peer_operators)
 
     # --- the connection
 
     def connected(self) -> None:
-        self._propose_soon(route for route in self._link.routes.values() if route.proposed_here)
+        self.openings.propose_soon(route for route in self._link.routes.values() if route.proposed_here)
 
     def resume(self) -> None:
         for route in self._link.routes.values():
@@ -101,16 +96,15 @@ class RouteTable(Extension):
         self.connected()
 
     def disconnected(self) -> None:
-        self._to_propose.clear()
+        self.openings.disconnected()
         self._link.ids.disconnected()
-        self._refused.clear()
         for route in self._link.routes.values():
             route.close(self._link.status.reason)
             self._lead(route)  # the peer's next session may not list it any more
         self.arming.lease.stop()  # after the routes, which ask how long the other side may still publish
 
     def suspend(self) -> None:
-        self._to_propose.clear()
+        self.openings.suspend()
         for route in self._link.routes.values():
             if route.id and route.life.accepted and route.resumes:
                 route.suspend()
@@ -144,7 +138,7 @@ class RouteTable(Extension):
             self.listed.add(entry.topic.identity)
             self._context.demands.changed()
         if proposed_here and self._link.linked:
-            self.propose(route, acting_operator())
+            self.openings.propose(route, acting_operator())
         return route
 
     def check_add(self, entry: Entry, instead_of: Route | None = None) -> None:
@@ -197,15 +191,11 @@ class RouteTable(Extension):
 
     def rights_changed(self) -> None:
         """Apply changed rights of the peer to the open routes."""
-        for route, reason in denied(self._link, self._link.rights).items():
+        for route, reason in denied(self._link, self._link.end.rights).items():
             self.deny(route, reason)
         for route in self._link.routes.values():
             if allow_rate(route, self._link):
-                self._tell_rate(route)
-
-    def _tell_rate(self, route: Route) -> None:
-        if route.id:
-            self._link.send(wire.Limit(route=route.id, max_rate=route.limit.own))
+                self.openings.tell_rate(route)
 
     def _tell_end(self, route: Route, code: EndCode, reason: str, who: str = "") -> None:
         """Tell the peer how a route ends; a closed one is named by its last id."""
@@ -240,7 +230,7 @@ class RouteTable(Extension):
         if route.id:
             self._link.send(self._amendment(route, acting_operator()))
         elif self._link.linked:
-            self.propose(route)  # it may be what it was refused for
+            self.openings.propose(route)  # it may be what it was refused for
         if spec.paused != route.pausing.paused:
             self.pause(route, paused=spec.paused)
 
@@ -287,7 +277,7 @@ class RouteTable(Extension):
             before = route.arming.own.max_age
             if self.arming.renew_demand(route):
                 if route.proposed_here:
-                    self.propose(route)
+                    self.openings.propose(route)
                 else:
                     route.request_reopen(EventCode.ROUTE_AMENDED, "its demands in this side's session have changed")
             elif route.arming.own.max_age != before:
@@ -297,77 +287,9 @@ class RouteTable(Extension):
     def retry(self) -> None:
         """Propose refused routes at once."""
         if self._link.linked:
-            self._propose_soon(each for each in self._link.routes.values() if each.proposed_here and not each.id)
-
-    def _open(self, route: Route, route_id: int) -> None:
-        route.open(route_id)
-        self.arming.opened(route)
-        route.age.accepted = None
-        route.settle_age()
-        self._link.ids.opened(route, route_id)
-
-    # --- proposing
-
-    def propose(self, route: Route, who: str = "") -> None:
-        """Ask the peer to open a route, or to open it again; `who` has just added or edited it, or is empty."""
-        route.close("reopened")
-        self._open(route, self._link.ids.new())
-        self._link.spawn(self._propose(route, route.id, who))
-
-    def _propose_soon(self, routes: Iterable[Route]) -> None:
-        """Propose routes that are not open, in slices: all of a link have to be, once it is up."""
-
-        def due() -> Iterator[Route]:
-            while self._to_propose:
-                route = next(iter(self._to_propose))
-                del self._to_propose[route]
-                # A slice before, or a message of the peer, may have opened, changed or removed it.
-                if route.proposed_here and not route.id and self._link.routes.get(route.key) is route:
-                    yield route
-
-        is_under_way = bool(self._to_propose)
-        self._to_propose |= dict.fromkeys(routes)
-        if self._to_propose and not is_under_way:
-            self._link.spawn(in_slices(due(), self.propose))
-
-    async def _propose(self, route: Route, route_id: int, who: str) -> None:
-        if not await self._prepare_port(route, route_id):
-            return
-        pausing = route.pausing
-        opening: dict[str, Any] = {"route": route_id, "paused": pausing.paused, "pause_revision": pausing.revision}
-        if route.purpose.in_graph:
-            opening |= {"place": place_of(route.spec, self._link, route.pattern), "by_pattern": bool(route.pattern)}
-        opening |= self.arming.demanded(route)
-        # Together with the sending: each Propose advances the chain of keys on both sides (PROTOCOL.md, 1.3).
-        self._link.derive_keys(route_id, proposed_here=True)
-        self._link.send(msgspec.structs.replace(route.proposal, **opening, who=who))
-
-    async def _accept(self, route: Route, proposal: wire.Propose) -> None:
-        if await self._prepare_port(route, proposal.route, proposal):
-            own = route.arming.own
-            demands = own.arm, own.deadman, own.max_age, own.on_end, own.limits
-            self._link.send(wire.Accept(route.id, route.local_topic, *demands))
-            self._accepted(route)
-
-    async def _prepare_port(self, route: Route, route_id: int, theirs: wire.Propose | None = None) -> bool:
-        """Prepare the port of an opening, which ends if there is none; return whether it goes on.
-
-        Args:
-            theirs: the peer's proposal of it, or None if this side proposes it.
-        """
-        connection, failure = self._link.connections, ""
-        try:
-            await self._link.prepare_port(route)
-        except ListenError as error:
-            failure = str(error)
-        # It may have ended meanwhile. On the next connection another process of the peer may give the same id.
-        if not self._link.linked or self._link.connections != connection or route.id != route_id:
-            return False
-        if failure:
-            route.refuse(EventCode.ROUTE_PORT_UNAVAILABLE, Reason(failure))
-            if theirs is not None:
-                self._refuse(theirs, "port_taken", failure)
-        return not failure
+            self.openings.propose_soon(
+                each for each in self._link.routes.values() if each.proposed_here and not each.id
+            )
 
     # --- what the peer says
 
@@ -413,7 +335,7 @@ class RouteTable(Extension):
             self._link.send(wire.Refuse(route=proposal.route, code=error.code, reason=sanitize_text(str(error))))
         except LinkError as error:
             self._link.closed(proposal.route)
-            self._refuse(proposal, "denied", str(error))
+            self.openings.refuse(proposal, "denied", str(error))
 
     def _take_up(self, proposal: wire.Propose) -> None:
         """Open this side's half of a route that the peer proposes, and accept it.
@@ -440,11 +362,11 @@ class RouteTable(Extension):
         if before is not None:
             route.arming.follow(before.arming)
         same_process = route.instance == link.instance  # before it is opened, which notes the present process
-        self._open(route, proposal.route)
+        self.openings.open(route, proposal.route)
         self._take_pause(route, paused=proposal.paused, revision=proposal.pause_revision, known=same_process)
         if (route.pausing.paused, route.pausing.revision) != (proposal.paused, proposal.pause_revision):
             self._tell_pause(route)  # an operator of this side changed it while the link was down
-        link.spawn(self._accept(route, proposal))
+        link.spawn(self.openings.accept(route, proposal))
         self.peer_operators.proposed(route, proposal, edited=before is not None)
 
     def _listed_as(self, theirs: Entry) -> Route | None:
@@ -478,22 +400,8 @@ class RouteTable(Extension):
                 known.enter(known.here, entry)
                 return
             if not known.id:
-                self.propose(known)
+                self.openings.propose(known)
         raise RefusedError("listed_too", Denied.LISTED_TOO(topic=theirs.topic))
-
-    def _accepted(self, route: Route) -> None:
-        if route.limit.own:
-            self._tell_rate(route)
-        route.on_accepted()
-
-    def _refuse(self, proposal: wire.Propose, code: RefuseCode, reason: str) -> None:
-        if self._refused.get(proposal.topic) != reason:  # the other side keeps trying; one event is enough
-            if len(self._refused) >= ROUTES_PER_LINK:
-                self._refused.clear()
-            self._refused[proposal.topic] = reason
-            text = f"refused {proposal.topic}: {reason}"
-            self._link.log(Level.WARNING, EventCode.ROUTE_REFUSED, text, topic=proposal.topic)
-        self._link.send(wire.Refuse(route=proposal.route, code=code, reason=sanitize_text(reason)))
 
     def _removed(self, message: wire.Close) -> None:
         """Remove a route that the peer has removed; this side may have closed or reopened it before."""
@@ -538,7 +446,7 @@ class RouteTable(Extension):
                 self.arming.accepted(route, message)
                 route.age.accepted = message.max_age
                 route.settle_age()
-                self._accepted(route)
+                self.openings.accepted(route)
             case wire.Limit():
                 route.limit.allow_there(message.max_rate)
             case wire.Refuse(code="listed_too"):
@@ -594,11 +502,11 @@ class RouteTable(Extension):
                 continue
             if route.proposed_here:
                 if now >= route.reopening.retry_at:
-                    self._propose_soon((route,))
+                    self.openings.propose_soon((route,))
             elif now > route.reopening.awaited_until(link.linked_at):
                 if route.here is not None:  # this side's session lists it, too
                     self._lead(route)
-                    self.propose(route)
+                    self.openings.propose(route)
                 else:
                     self._forget(route, EventCode.ROUTE_REMOVED, "the other side no longer asks for it")
                     self.on_given_up()

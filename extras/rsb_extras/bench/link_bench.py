@@ -235,7 +235,7 @@ class LinkBench(Extension):
     def refusal(self, name: str) -> str:
         if self._now() < self._stopped_until:
             return "an operator has stopped the benchmark: wait a minute before the next one"
-        return self._budget.refusal(LIMITS.of(self._link.rights))
+        return self._budget.refusal(LIMITS.of(self._link.end.rights))
 
     def removed(self, route: Route) -> None:
         """Keep the peer from measuring for a while: an operator of this side has removed one of its routes."""
@@ -257,7 +257,7 @@ class LinkBench(Extension):
             drain.reset()
         problem = self._send_for_peer(ask, route, source) if ask.count else ""
         usage, arrived = self.usage(), drain.arrived if drain is not None else BenchArrivals(0, (0.0, 0.0, 0.0))
-        leave = LIMITS.of(self._link.rights)
+        leave = LIMITS.of(self._link.end.rights)
         busy = source is not None and source.busy
         return BenchAnswer(
             ask.request,
@@ -282,7 +282,7 @@ class LinkBench(Extension):
         size, seconds = max(ask.size, LEAST_SIZE), ask.count / max(ask.rate, 1e-3)  # 0 is a rate on the wire
         if seconds > MOST_SECONDS:
             return f"a run takes at most {MOST_SECONDS:g} s"
-        if refused := self._budget.refusal(LIMITS.of(self._link.rights), seconds, size * ask.count, ask.rate):
+        if refused := self._budget.refusal(LIMITS.of(self._link.end.rights), seconds, size * ask.count, ask.rate):
             return refused
         self._budget.spend(seconds, size * ask.count)
         source.start(size, ask.rate, ask.count)
@@ -292,13 +292,13 @@ class LinkBench(Extension):
         route = self._link.ids.open_route(route_id)
         if route is None or route.proposed_here or route.outgoing or route.purpose is not BENCH:
             return None
-        return lambda size: self._budget.take(LIMITS.of(self._link.rights), wire=size) or self._end_soon()
+        return lambda size: self._budget.take(LIMITS.of(self._link.end.rights), wire=size) or self._end_soon()
 
     def _admits(self, drain: BenchDrain, size: int) -> bool:
         """Whether an unpacked message may come to a drain."""
         if drain in self._own:
             return True
-        return self._budget.take(LIMITS.of(self._link.rights), payload=size) or self._end_soon()
+        return self._budget.take(LIMITS.of(self._link.end.rights), payload=size) or self._end_soon()
 
     def _end_soon(self) -> bool:
         """End the peer's routes at the next turn of the loop: now a message of one is being handled."""
@@ -309,7 +309,7 @@ class LinkBench(Extension):
 
     def _end_refused(self, rate: float = 0.0) -> None:
         self._ends_soon = False
-        if refused := self._budget.refusal(LIMITS.of(self._link.rights), rate=rate):
+        if refused := self._budget.refusal(LIMITS.of(self._link.end.rights), rate=rate):
             for route in self._internal.proposed(here=False):
                 self._table.deny(route, refused)
 

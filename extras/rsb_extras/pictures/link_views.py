@@ -217,11 +217,11 @@ class LinkViews(Extension):
     def _refusal(self, topics: tuple[str, ...], route: Route) -> str:
         """Return why the peer may not look at topics, or an empty string."""
         uses = (Use(topic, "look", route.proposal.transport) for topic in topics)
-        return next((str(refusal) for use in uses if (refusal := self._link.rights.refusal(use))), "")
+        return next((str(refusal) for use in uses if (refusal := self._link.end.rights.refusal(use))), "")
 
     def _limited(self, topics: tuple[str, ...], wish: Wish) -> Wish:
         """Return a wish with the highest rate that the peer may have."""
-        limits = [limit for topic in topics if (limit := self._link.rights.max_rate(Use(topic, "look")))]
+        limits = [limit for topic in topics if (limit := self._link.end.rights.max_rate(Use(topic, "look")))]
         return msgspec.structs.replace(wish, rate=min(wish.rate, *limits)) if limits else wish
 
     def _log(self, topic: str, *, begins: bool) -> None:

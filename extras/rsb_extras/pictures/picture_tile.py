@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-import math
-import secrets
 import textwrap
 import time
-from collections import deque
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
@@ -25,29 +22,27 @@ from rsb_bridge.model.wording import Wording
 from rsb_console.actions.all_actions import ACTIONS
 from rsb_console.notation import formats
 from rsb_console.terminal.input_queue import DIALOG
-from rsb_extras.pictures.blocks import image_rows, wished_pixels
 from rsb_extras.pictures.drawing import VIEWS, is_map
 from rsb_extras.pictures.field_chooser import FieldChooser
-from rsb_extras.pictures.goal_on_map import POSE, Goal
-from rsb_extras.pictures.graphics import protocol_of
-from rsb_extras.pictures.look_requests import EndLook, LookAtTopics
+from rsb_extras.pictures.goal_keys import GoalKeys
+from rsb_extras.pictures.goal_on_map import POSE
+from rsb_extras.pictures.image_style import ImageStyle
 from rsb_extras.pictures.picture import (
-    MOST_RATE,
     TOPICS_AT_ONCE,
     Cells,
     Pixels,
     Series,
-    in_full,
     sized,
     split_field,
 )
 from rsb_extras.pictures.picture_files import SVG_SHAPE, formats_of, picture_file, squared, svg
-from rsb_extras.pictures.picture_rows import AXIS, Part, UnreadableError, picture_rows, reads_webp, with_mark
+from rsb_extras.pictures.picture_rows import AXIS, Part, UnreadableError, picture_rows, reads_webp
+from rsb_extras.pictures.picture_source import PictureSource
 from rsb_extras.pictures.tile import FRAME, Tile, joined
+from rsb_extras.pictures.wish_keys import CHANGES
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
-    from concurrent.futures import Future
 
     from rsb_console.console_api import Console
     from rsb_extras.pictures.layouts import Subject
@@ -55,26 +50,11 @@ if TYPE_CHECKING:
     from rsb_extras.pictures.picture_rows import Row
 
 _TRIED_AGAIN_AFTER = 1.0  # s; a round figure: how long a refusal outlives its cause
-_RENEWED_AFTER = 0.15  # s; a round figure: eight such questions may be under way on a link with a round trip of 1.2 s
-_IN_FULL_WITHIN = 5.0  # s. A round figure: an operator waits for the file
-_RATES = (0.2, 0.5, 1.0, 2.0, 5.0, MOST_RATE)
 _ZOOM, _PAN, _TILT = 1.5, 0.1, 15.0
-_WAYS = ("", "plot", "tree")
-_SPANS = (10.0, 30.0, 60.0, 120.0, 300.0, 600.0)
-"""s of a plot's time axis."""
 _KEYS = ("space hold", "t text", "+- zoom", "p file", "f fields", "h how", "<> rate", "←→↑↓")
 _MAP_KEYS, _POINT_KEYS = ("l layers",), ("[] tilt", "c colour")
 _PUBLISH = next((action.with_message for action in ACTIONS if action.with_message is not None), None)
-_TURN = 15.0
-"""Degrees by which a key turns a goal."""
 _GOAL_TOPIC = "/goal_pose"
-_SLOW, _IN_CHARACTERS = 0.3, 3
-"""s that a line may take for an image, in which keys wait; and how often its resolution is halved until it is drawn in
-characters, which come in pieces between other things."""
-_DEAR = 50_000
-"""Bytes/s of a line below which 256 colours are worth more than true ones: an image in blocks comes twice as fast."""
-_COST_OVER = 5.0
-"""s over which the cost of a tile is measured."""
 
 
 class ViewText(Wording):
@@ -84,40 +64,33 @@ class ViewText(Wording):
     OLD = "{age} old"
     TO_TERMINAL = "{rate} to this terminal"
     SIDE = "drawn by {side}"
-    ASCII = "ASCII: LC_ALL=C.UTF-8 shows more, if the terminal has Unicode"
-    FEW_COLOURS = "{colours} colours: COLORTERM=truecolor or terminal: {{colours: true}} in console.yaml shows more"
     WRITTEN = "written: {files}"
     NOT_WRITTEN = "the picture cannot be written: {error}"
     NO_PICTURE = "there is no picture yet"
     NO_MAP = "a goal needs a map with a frame"
-    GOAL_PLACE = "GOAL at {x:.2f}, {y:.2f} m in {frame}: arrows move it, ⏎ turns it, esc leaves"
-    GOAL_HEADING = "GOAL at {x:.2f}, {y:.2f} m, heading {degrees:.0f}°: ←→ turn it, ⏎ publishes, esc leaves"
 
 
 class PictureTile(Tile):
-    """Pictures of topics, of a map with others laid over it, and the goal that an operator sets on it.
-
-    It has more than 40 methods because Textual calls one for each key, and they all change one wish.
-    """
+    """Pictures of topics, of a map with others laid over it, and the goal that an operator sets on it."""
 
     BINDINGS: ClassVar = [
         Binding("g", "goal", show=False),
         Binding("enter", "place", show=False),
-        Binding("h", "way", show=False),
+        Binding("h", "change('way')", show=False),
         Binding("f", "fields", show=False),
-        Binding("plus,equals_sign", f"zoom({_ZOOM})", show=False),
-        Binding("minus", f"zoom({1 / _ZOOM})", show=False),
+        Binding("plus,equals_sign", f"change('zoom', {_ZOOM})", show=False),
+        Binding("minus", f"change('zoom', {1 / _ZOOM})", show=False),
         Binding("left", f"move({-_PAN}, 0)", show=False),
         Binding("right", f"move({_PAN}, 0)", show=False),
         Binding("up", f"move(0, {_PAN})", show=False),
         Binding("down", f"move(0, {-_PAN})", show=False),
-        Binding("left_square_bracket", f"tilt({-_TILT})", show=False),
-        Binding("right_square_bracket", f"tilt({_TILT})", show=False),
-        Binding("c", "colour", show=False),
-        Binding("0", "reset", show=False),
+        Binding("left_square_bracket", f"change('tilt', {-_TILT})", show=False),
+        Binding("right_square_bracket", f"change('tilt', {_TILT})", show=False),
+        Binding("c", "change('colour')", show=False),
+        Binding("0", "change('reset')", show=False),
         Binding("l", "layers", show=False),
-        Binding("less_than_sign", "rate(-1)", show=False),
-        Binding("greater_than_sign", "rate(1)", show=False),
+        Binding("less_than_sign", "change('rate', -1)", show=False),
+        Binding("greater_than_sign", "change('rate', 1)", show=False),
         Binding("space", "hold", show=False),
         Binding("p", "write", show=False),
     ]
@@ -127,18 +100,14 @@ class PictureTile(Tile):
         # The map itself is one of them.
         self._layers: list[tuple[str, ...]] = _sets_of_layers(subject) if is_map(subject.type_name) else [()]
         """The topics laid over a map: one set after the other, by a key."""
-        self._viewer = secrets.token_hex(8)
+        self._source = PictureSource(console, subject.link)
+        self._look = ImageStyle(self)
+        self._goal = GoalKeys()
         self._wish = msgspec.structs.replace(subject.wish, webp=reads_webp())
         self._viewed: Viewed | None = None
         self._blocks: list[Row] = []
         """The image in sight in characters."""
         self._came = time.monotonic()
-        self._sizes: deque[tuple[float, int]] = deque()
-        """When pictures came lately, and their bytes."""
-        self._goes_on = asyncio.Event()
-        self._goes_on.set()
-        self._asked: Future[Viewed | None] | None = None
-        self._renews = False
         self._problem = ""
         self._unreadable = ""
         """The damage of the image in sight, or an empty string."""
@@ -147,23 +116,11 @@ class PictureTile(Tile):
         self._showing = asyncio.Lock()
         self._cursor: int | None = None
         """Column of a plot whose values are shown."""
-        self._strain = 0
-        """How often the resolution is halved for a terminal that reads slowly."""
-        self._goal: Goal | None = None
-        self._turns_goal = False
 
     @property
     def content(self) -> Cells | Pixels | Series | None:
         """The picture in sight, or None."""
         return None if self._viewed is None else self._viewed.picture.content
-
-    @property
-    def cost(self) -> float:
-        """Bytes a second that it takes of a link."""
-        now = time.monotonic()
-        while self._sizes and now - self._sizes[0][0] > _COST_OVER:
-            self._sizes.popleft()
-        return sum(size for _, size in self._sizes) / _COST_OVER
 
     def on_mount(self) -> None:
         # The age of a picture grows without a new one.
@@ -175,8 +132,7 @@ class PictureTile(Tile):
 
     def end(self) -> None:
         self.workers.cancel_node(self)
-        if (engine := self.console.engine) is not None:  # at once, so that the next one finds room: there are few
-            engine.do(EndLook(self._viewer))
+        self._source.end()
 
     def keys(self) -> list[str]:
         type_name = self.subject.type_name
@@ -185,36 +141,12 @@ class PictureTile(Tile):
         return [*keys, *self.robot_keys(), *_KEYS]
 
     def fit(self) -> None:
-        size, facts = self.size, self.terminal.facts
-        if self._shows_pixels and facts.cell is not None:
-            across, down = (round(each / 2**self._strain) for each in facts.cell)
-        else:
-            across, down = wished_pixels(self._image_colours, sextants=facts.draws_sextants)
-        self._take(sized(self._wish, size.width, size.height, across, down, facts.shape))
+        size, shape = self.size, self.terminal.facts.shape
+        self._take(sized(self._wish, size.width, size.height, *self._look.pixels_of_a_cell(), shape))
         if isinstance(self.content, Pixels):
             self.cover_changed()  # the picture in sight, in the new size
         else:
             self._draw()
-
-    @property
-    def _colours(self) -> int:
-        facts = self.terminal.facts
-        if self.app.no_color or self.app.console.color_system is None:
-            return 0
-        # With more, a map has half blocks of two tints, in which ASCII would show walls.
-        if self.app.ansi_color or self.terminal.ascii_only:
-            return min(facts.colours, 16)
-        return min(facts.colours, 256) if self.terminal.writer.line.rate < _DEAR else facts.colours
-
-    @property
-    def _image_colours(self) -> int:
-        """The colours for an image: in ASCII, which has no shapes for two of them, characters show its brightness."""
-        return 0 if self.terminal.ascii_only else self._colours
-
-    @property
-    def _shows_pixels(self) -> bool:
-        can = not self.terminal.ascii_only and protocol_of(self.terminal.facts) != ""
-        return can and self._strain < _IN_CHARACTERS
 
     # -- pictures -----------------------------------------------------------------------------------------------------
 
@@ -222,9 +154,9 @@ class PictureTile(Tile):
     async def _follow(self) -> None:
         """Take pictures until the tile is hidden or closed."""
         while True:
-            await self._goes_on.wait()
+            await self._source.goes_on.wait()
             try:
-                viewed = await self._next()
+                viewed = await self._source.next(self._topics, self._wish)
                 self._problem = ""
             except asyncio.CancelledError:
                 if (task := asyncio.current_task()) is None or task.cancelling():
@@ -235,10 +167,9 @@ class PictureTile(Tile):
                 self._draw()
                 await asyncio.sleep(_TRIED_AGAIN_AFTER)
                 continue
-            if viewed is None or not self._goes_on.is_set():  # it may have been held since it asked
+            if viewed is None or not self._source.goes_on.is_set():  # it may have been held since it asked
                 continue
             picture = viewed.picture
-            self._sizes.append((time.monotonic(), viewed.encoded if viewed.where else 0))
             if picture.content is None and self._viewed is not None:  # keep the last good one in sight
                 self._problem = picture.problem or picture.waiting
             elif not picture.waiting:
@@ -246,40 +177,8 @@ class PictureTile(Tile):
             self._waiting = picture.waiting
             await self._show_content()
             await self.is_taken()
-            self._spare()
-
-    def _ask_anew_soon(self) -> None:
-        """Put the present wish in the place of the one that waits, so that a key has its effect at once.
-
-        A key that is held changes the wish 30 times a second, and the other side answers only some questions at a time.
-        """
-        if self._asked is not None and not self._renews:
-            self._renews = True
-            self.set_timer(_RENEWED_AFTER, self._ask_anew)
-
-    def _ask_anew(self) -> None:
-        self._renews = False
-        if self._asked is not None:
-            self._asked.cancel()
-
-    def _spare(self) -> None:
-        """Draw fewer pixels, and at last characters, for a line that takes long for an image; or more again."""
-        before, seconds = self._strain, self.image_bytes / self.terminal.writer.line.rate
-        finer = seconds * (4 if self._shows_pixels else 1)
-        if self._shows_pixels and seconds > _SLOW:
-            self._strain += 1
-        elif self._strain and finer < _SLOW / 2:
-            self._strain -= 1
-        if self._strain != before:
-            self.fit()
-
-    async def _next(self) -> Viewed | None:
-        engine = self.console.engine
-        if engine is None:
-            raise EngineError("no session runs")
-        asked = LookAtTopics(self._viewer, self._topics, self._wish, self.subject.link)
-        self._asked = engine.do(asked)
-        return await asyncio.wrap_future(self._asked)
+            if self._look.spare():
+                self.fit()
 
     @property
     def _is_map(self) -> bool:
@@ -299,18 +198,15 @@ class PictureTile(Tile):
         async with self._showing:
             content, self._unreadable = self.content, ""
             if isinstance(content, Pixels):
-                blocks = partial(self._in_blocks, content, self._wish)
+                blocks = partial(self._look.in_blocks, content, self._wish)
                 try:
-                    if self._shows_pixels:
-                        await self.show_image(content, self._wish, blocks, few_colours=self._strain > 0)
+                    if self._look.shows_pixels:
+                        await self.show_image(content, self._wish, blocks, few_colours=self._look.strain > 0)
                     else:
                         self._blocks = await asyncio.to_thread(blocks)
                 except UnreadableError as error:
                     self._unreadable, self._blocks = str(error), []
             self._draw()
-
-    def _in_blocks(self, content: Pixels, wish: Wish) -> list[Row]:
-        return image_rows(content, wish, colours=self._image_colours, sextants=self.terminal.facts.draws_sextants)
 
     @work(exclusive=True, group="image")
     async def cover_changed(self) -> None:
@@ -325,14 +221,11 @@ class PictureTile(Tile):
             rows = self._blocks
         elif content is not None:
             rows = picture_rows(
-                content, self._wish.width, self._wish.height, colours=self._colours, cursor=self._cursor
+                content, self._wish.width, self._wish.height, colours=self._look.colours, cursor=self._cursor
             )
-            if (scale := self._scale) is not None and self._goal is not None and self._goal.frame != scale.frame:
-                self._goal = None  # its coordinates mean another place
-            if scale is not None and self._goal is not None:
-                mark = Part(self._goal.arrow, "goal")
-                rows = with_mark(rows, *self._goal.cell(scale), mark, self._wish.width)
-        if not (isinstance(content, Pixels) and self._shows_pixels) or self._unreadable:
+            if (scale := self._scale) is not None:
+                rows = self._goal.marked(rows, scale, self._wish.width)
+        if not (isinstance(content, Pixels) and self._look.shows_pixels) or self._unreadable:
             self.show(rows or self._reason())
         self._entitle()
 
@@ -353,17 +246,15 @@ class PictureTile(Tile):
     def _entitle(self) -> None:
         """Show what the picture is of, and how old it is."""
         first, *others = self._topics
-        topics = () if self._goal is not None else (f"{first} +{len(others)}" if others else first,)
+        topics = () if self._goal.goal is not None else (f"{first} +{len(others)}" if others else first,)
         parts = [escape_text(part) for part in (*topics, *self._status()) if part]
         self.entitle(f" {joined(parts, self.size.width - FRAME)} ")
 
     def _status(self) -> Iterable[str]:
         """Return the facts about the picture, the most important first."""
-        if (goal := self._goal) is not None:
-            degrees = math.degrees(goal.heading)
-            text = ViewText.GOAL_HEADING if self._turns_goal else ViewText.GOAL_PLACE
-            return (text(x=goal.x, y=goal.y, frame=goal.frame, degrees=degrees),)
-        if not self._goes_on.is_set():
+        if self._goal.goal is not None:
+            return (self._goal.text(),)
+        if not self._source.goes_on.is_set():
             return (ViewText.HELD(),)
         if self._viewed is None:
             waited = time.monotonic() - self._came
@@ -377,66 +268,47 @@ class PictureTile(Tile):
         return [
             *parts,
             *picture.notes,
-            formats.byte_rate(self.cost) if where else "",
+            formats.byte_rate(self._source.cost) if where else "",
             ViewText.TO_TERMINAL(rate=formats.byte_rate(sent))
             if (sent := self.terminal.writer.line.per_second)
             else "",
             ViewText.SIDE(side=side),
             f"at most {self._wish.rate:g} Hz",
-            self._how_shown if isinstance(picture.content, Pixels) else "",
+            self._look.line() if isinstance(picture.content, Pixels) else "",
             picture.type_name,
         ]
 
-    @property
-    def _how_shown(self) -> str:
-        """What the terminal was found to show, or how to get more."""
-        facts = self.terminal.facts
-        if self.terminal.ascii_only:
-            return ViewText.ASCII()
-        few = facts.colours <= 16 and not self.app.no_color
-        return ViewText.FEW_COLOURS(colours=facts.colours or "no") if few else facts.line()
-
     # -- keys ---------------------------------------------------------------------------------------------------------
-
-    def _change(self, **changes: object) -> None:
-        self._take(msgspec.structs.replace(self._wish, **changes))
 
     def _take(self, wish: Wish) -> None:
         if wish != self._wish:
             self._wish = wish
-            self._ask_anew_soon()
+            self._source.ask_anew_soon()
         self._entitle()
 
-    def action_way(self) -> None:
-        """Draw another kind of picture."""
-        # Another kind of picture has other coordinates.
-        self._viewed = self._goal = None
-        self._change(how=_WAYS[(_WAYS.index(self._wish.how) + 1) % len(_WAYS)] if self._wish.how in _WAYS else "")
+    def action_change(self, what: str, by: float = 0.0) -> None:
+        """Change the wish, as `wish_keys.CHANGES` says."""
+        wish = CHANGES[what](self._wish, self.content, by)
+        if what == "way":  # another kind of picture has other coordinates
+            self._viewed = self._goal.goal = None
+        elif what == "reset":
+            self._cursor = None
+        self._take(wish)
 
     @work(group=DIALOG)
     async def action_fields(self) -> None:
         """Choose numbers to plot, of this topic or of several."""
         fields = await self.console.ask(FieldChooser(self.console, self.subject, self._wish.fields))
         if fields is not None:
-            self._viewed = self._goal = None
-            self._change(how="plot" if fields else "", fields=fields)
-
-    def action_zoom(self, factor: float) -> None:
-        """Show less, larger; of a plot, a shorter time."""
-        if isinstance(self.content, Series):
-            longer = [each for each in _SPANS if each > self._wish.seconds]
-            shorter = [each for each in _SPANS if each < self._wish.seconds]
-            self._change(seconds=(shorter or _SPANS[:1])[-1] if factor > 1 else (longer or _SPANS[-1:])[0])
-            return
-        self._change(zoom=max(0.05, min(200.0, self._wish.zoom * factor)))
+            self._viewed = self._goal.goal = None
+            self._take(msgspec.structs.replace(self._wish, how="plot" if fields else "", fields=fields))
 
     def action_move(self, right: float, up: float) -> None:
         """Move the goal, a plot's cursor, or the view."""
         content = self.content
         columns, rows = round(right / _PAN), round(-up / _PAN)
-        if self._goal is not None and (scale := self._scale) is not None:
-            turned, moved = self._goal.turned(-columns * _TURN), self._goal.moved(scale, columns, rows)
-            self._goal = turned if self._turns_goal else moved
+        if self._goal.goal is not None and (scale := self._scale) is not None:
+            self._goal.move(scale, columns, rows)
             self._draw()
         elif isinstance(content, Series):
             last = max(0, self._wish.width - AXIS - 1)
@@ -444,35 +316,20 @@ class PictureTile(Tile):
             self._cursor = max(0, min(last, at))
             self._draw()
         else:
-            self._change(x=self._wish.x + right, y=self._wish.y + up)
-
-    def action_tilt(self, degrees: float) -> None:
-        self._change(tilt=max(0.0, min(90.0, self._wish.tilt + degrees)))
-
-    def action_colour(self) -> None:
-        self._change(colour="intensity" if self._wish.colour == "height" else "height")
-
-    def action_reset(self) -> None:
-        """Show the whole picture from above, without a cursor."""
-        self._cursor = None
-        self._change(zoom=1.0, x=0.0, y=0.0, tilt=0.0)
+            self._take(msgspec.structs.replace(self._wish, x=self._wish.x + right, y=self._wish.y + up))
 
     def action_layers(self) -> None:
         """Lay other topics over the map, with costmaps or without, or show it alone."""
         self._layers.append(self._layers.pop(0))
-        self._ask_anew_soon()
+        self._source.ask_anew_soon()
         self._entitle()
-
-    def action_rate(self, step: int) -> None:
-        at = _RATES.index(self._wish.rate) + step
-        self._change(rate=_RATES[max(0, min(len(_RATES) - 1, at))])
 
     def action_hold(self) -> None:
         """Hold the picture, or go on."""
-        if self._goes_on.is_set():
-            self._goes_on.clear()
+        if self._source.goes_on.is_set():
+            self._source.goes_on.clear()
         else:
-            self._goes_on.set()
+            self._source.goes_on.set()
         self._entitle()
 
     # -- goals ------------------------------------------------------------------------------------------------------
@@ -484,7 +341,7 @@ class PictureTile(Tile):
 
     def drop_goal(self) -> bool:
         """Drop the goal, and return whether there was one."""
-        had, self._goal = self._goal is not None, None
+        had, self._goal.goal = self._goal.goal is not None, None
         if had:
             self._draw()
         return had
@@ -496,26 +353,23 @@ class PictureTile(Tile):
         if (scale := self._scale) is None:
             self.notify(ViewText.NO_MAP(), severity="warning", markup=False)
             return
-        self._goal, self._turns_goal = Goal.at(scale, self._wish.width / 2, self._wish.height / 2), False
+        self._goal.begin(scale, self._wish.width, self._wish.height)
         self._draw()
 
     def on_picture_pane_clicked(self, event: Tile.Clicked) -> None:
         """Put the goal where the operator clicks."""
-        if self._goal is not None and not self._turns_goal and (scale := self._scale) is not None:
-            self._goal = Goal.at(scale, event.column + 0.5, event.row + 0.5)
+        if (scale := self._scale) is not None:
+            self._goal.put(scale, event.column, event.row)
             self._draw()
 
     def action_place(self) -> None:
         """Go on to the goal's heading, and then to the form that publishes it."""
-        if self._goal is None:
+        if self._goal.goal is None:
             return
-        if not self._turns_goal:
-            self._turns_goal = True
-            self._draw()
-            return
-        fields, self._goal = self._goal.fields(), None
+        fields = self._goal.go_on()
         self._draw()
-        self._publish(fields)
+        if fields:
+            self._publish(fields)
 
     @work(group=DIALOG)
     async def _publish(self, fields: str) -> None:
@@ -542,35 +396,16 @@ class PictureTile(Tile):
             return
         drawn = drawing = None
         if isinstance(content, Pixels):
-            drawn, content = content, (await self._image_in_full() if self._goes_on.is_set() else None) or content
+            drawn, content = content, await self._source.image_in_full(self._topics, self._wish) or content
         try:
             if drawn is not None:
                 of_file = msgspec.structs.replace(self._wish, shape=SVG_SHAPE)
-                drawing = await asyncio.to_thread(self._in_blocks, drawn, of_file)
+                drawing = await asyncio.to_thread(self._look.in_blocks, drawn, of_file)
             files = await asyncio.to_thread(_write, self.subject.topics[0], content, drawing)
         except (OSError, UnreadableError) as error:
             self.notify(ViewText.NOT_WRITTEN(error=error), severity="error", markup=False)
         else:
             self.notify(ViewText.WRITTEN(files=files), markup=False)
-
-    async def _image_in_full(self) -> Pixels | None:
-        """Return the image that comes next in its own resolution, or None if none comes."""
-        engine, viewer = self.console.engine, secrets.token_hex(8)
-        if engine is None:
-            return None
-        try:
-            async with asyncio.timeout(_IN_FULL_WITHIN):
-                while True:
-                    asked = engine.do(LookAtTopics(viewer, self._topics, in_full(self._wish), self.subject.link))
-                    viewed = await asyncio.wrap_future(asked)
-                    if viewed is not None and isinstance(viewed.picture.content, Pixels):
-                        return viewed.picture.content
-                    if viewed is not None and viewed.picture.problem:
-                        return None
-        except (EngineError, TimeoutError):
-            return None
-        finally:
-            engine.do(EndLook(viewer))
 
 
 def _sets_of_layers(subject: Subject) -> list[tuple[str, ...]]:

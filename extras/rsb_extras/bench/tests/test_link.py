@@ -174,7 +174,7 @@ def test_run_with_reopened_topic_has_no_figures(
                     await asyncio.sleep(0.01)
 
             replaced.PREPARE_PORT.set(monkeypatch, wait_for_run)
-        link.table.propose(route)
+        link.table.openings.propose(route)
         return True
 
     eventually(lambda: on_bridge(both.client, open_anew), WITHIN)

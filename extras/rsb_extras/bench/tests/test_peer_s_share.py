@@ -41,6 +41,7 @@ class Here:
         ids = SimpleNamespace(open_route=lambda number: list(self.routes.values())[number])
         table = SimpleNamespace(deny=lambda _, reason: self.denied.append(reason))
         context = SimpleNamespace(internal={BENCH.name: self.ends}, clock=Clock(), now=lambda: self.time, loop=loop)
+        rights = SimpleNamespace(features={LIMITS.name: BenchmarkLimits(seconds=10.0, max_rate=100.0, megabytes=1.0)})
         link = SimpleNamespace(
             context=context,
             routes=self.routes,
@@ -50,9 +51,7 @@ class Here:
             name=PEER,
             send=self.answers.append,
             spawn=asyncio.run,
-            rights=SimpleNamespace(
-                features={LIMITS.name: BenchmarkLimits(seconds=10.0, max_rate=100.0, megabytes=1.0)}
-            ),
+            end=SimpleNamespace(rights=rights),
         )
         self.bench = LinkBench(cast("BaseLink", link), cast("RouteTable", table))
 

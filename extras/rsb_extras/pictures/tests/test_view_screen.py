@@ -49,6 +49,7 @@ from rsb_console.notation import formats
 from rsb_console.screens.help import KeyList
 from rsb_console.screens.message_screen import MessageScreen
 from rsb_console.widgets.form import FormScreen
+from rsb_extras.pictures.goal_keys import GoalText
 from rsb_extras.pictures.goal_on_map import POSE, Goal
 from rsb_extras.pictures.look_requests import AnswerProblem, LookAtTopics
 from rsb_extras.pictures.picture import (
@@ -159,7 +160,7 @@ def has_picture(app: ConsoleApp) -> bool:
 def placing(app: ConsoleApp) -> Goal | None:
     tile = screen_of(app).pane
     assert isinstance(tile, PictureTile)
-    return tile._goal
+    return tile._goal.goal
 
 
 def title(app: ConsoleApp) -> str:
@@ -401,7 +402,7 @@ async def test_goal_begins_in_middle_and_moves_by_cells(app: ConsoleApp, pilot: 
     await pilot.press("g")
     column, row = before.width / 2, before.height / 2
     assert goal_of(app) == Goal.at(SCALE, column, row)
-    assert says(title(app), ViewText.GOAL_PLACE, frame="map")
+    assert says(title(app), GoalText.PLACE, frame="map")
     await pilot.press("right", "right", "down", "left", "up", "up")
     cell = Goal.at(SCALE, column, row).cell(SCALE)
     assert goal_of(app).cell(SCALE) == (cell[0] + 1, cell[1] - 1)
@@ -419,7 +420,7 @@ async def test_the_goal_is_marked_with_its_heading(app: ConsoleApp, pilot: Pilot
     await pilot.press("enter", *["left"] * 6)
     assert marked(app) == (at, "↑")
     assert goal_of(app).heading == pytest.approx(math.pi / 2)
-    assert says(title(app), ViewText.GOAL_HEADING, degrees=90.0)
+    assert says(title(app), GoalText.HEADING, degrees=90.0)
     await pilot.press("right", "right", "right")
     assert marked(app) == (at, "↗")
     await pilot.click(PictureTile, offset=(20, 9))  # it only turns now
@@ -454,7 +455,7 @@ async def test_escape_drops_only_the_goal(app: ConsoleApp, pilot: Pilot[None]) -
         assert goal_of(app)
         await pilot.press("escape")
         assert placing(app) is None
-        assert not says(title(app), ViewText.GOAL_PLACE)
+        assert not says(title(app), GoalText.PLACE)
     await pilot.press("enter")  # without a goal it does nothing
     assert isinstance(app.screen, ViewScreen)
     await pilot.press("escape")

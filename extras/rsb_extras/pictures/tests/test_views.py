@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 async def test_nobody_sends_pictures_unasked(make_context: Callable[..., Context]) -> None:
     (link,) = ClientRole(make_context(), {"robot1": ()}).links()
-    refusal = link.extensions.find(LinkViews).denial(link.rights, sends=True)
+    refusal = link.extensions.find(LinkViews).denial(link.end.rights, sends=True)
     assert refusal is not None
     assert says(refusal.reason, ViewRefused.NO_SENDING, peer="the server", owner="robot1")
 

@@ -1,4 +1,4 @@
-"""The client's side of a link: connects to the server, and reconnects whenever the link is lost."""
+"""The client's end of a link: connects to the server, and reconnects whenever the link is lost."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import contextlib
 import shlex
 import socket
 from math import inf
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, final
 
 import msgspec
 
@@ -29,6 +29,7 @@ from rsb_bridge.link.server_ways import ServerWays, first_of
 from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
+from rsb_bridge.model.transports import profile_of
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.transport.network_news import NameText, has_network
 from rsb_bridge.transport.streams import Stream, os_error_message
@@ -43,13 +44,14 @@ if TYPE_CHECKING:
     from rsb_bridge.config.rights import Rights
     from rsb_bridge.context import Context
     from rsb_bridge.link.control_channel import ControlChannel
-    from rsb_bridge.model.session import Identity
+    from rsb_bridge.model.session import Identity, Kind, Topic
     from rsb_bridge.model.snapshot import WaySnapshot
+    from rsb_bridge.model.transports import LinkProfile
+    from rsb_bridge.route.route import Route
     from rsb_bridge.transport.network_news import NetworkNews
     from rsb_bridge.transport.transport import StreamTransport
-    from rsb_bridge.wire.connection import ServerConnection
-    from rsb_bridge.wire.messages import Hello
-    from rsb_bridge.wire.sealing import CipherSuite
+    from rsb_bridge.wire.messages import Hello, Propose
+    from rsb_bridge.wire.sealing import CipherSuite, SessionKeys
 
 _HANDSHAKE_TIMEOUT = 10.0  # s for an answer, as long as a server waits for a handshake (`pending_connections`)
 _KEY_CHANGED = "the client has another key now"
@@ -67,7 +69,7 @@ _LONGEST_RETRY_AFTER = 60.0  # that a server may ask for (PROTOCOL.md, 3): a wro
 # attempts of 200 clients come within 0.5 s; with a fifth, it was 0.2 s.
 _JITTER = 0.5
 # Attempts that come soon although another client has this one's name. They take about 4.5 s, in which one that is dead
-# has lost it (`server_link._SILENT`).
+# has lost it (`server_end._SILENT`).
 _NAME_MAY_BE_FREED = 5
 
 # s after which a move to a better way begins: a session moves on while messages that count, such as reports, are few.
@@ -75,20 +77,19 @@ _REPORTS_FIRST = 0.1
 _DUPLICATES_LOGGED_EVERY = 60.0  # s between lines about one more client of this one's name: a round figure
 
 
-class ClientLink(Link):
-    """The one link of a client.
+@final
+class ClientEnd:
+    """The client's end of its one link, which it makes.
 
     Attributes:
+        ways: the addresses of the server.
         udp_failure: the last reason why no socket for datagrams could be opened, or an empty string.
     """
 
-    channels_class = ClientChannels
-
     def __init__(self, context: Context, hello: Hello, key: Key | None, suite: CipherSuite) -> None:
         session = context.session
-        super().__init__(context, session.name, is_client=True, encrypted=key is not None)
-        self.port = session.server_port
-        self.ways = ServerWays(self, session.hosts)
+        self._context = context
+        self._port = session.server_port
         self._moves_to: str | None = None  # a better way, while the present one carries
         self._hello = hello
         self.key = key
@@ -109,30 +110,52 @@ class ClientLink(Link):
         self._returning = Backoff(_FIRST_DELAY_AWAY, _LONGEST_DELAY_UNREACHED, context.random, _JITTER)
         self._asking = Backoff(ASKED_EVERY, ASKED_EVERY, context.random)
         self._trials: Trials[ProvenServer] = Trials(context.now, _HANDSHAKE_TIMEOUT)
-        self.handlers |= {Duplicate: self._on_duplicate, Shutdown: self._on_shutdown}
+        self.link = Link(context, session.name, self, is_client=True, encrypted=key is not None)
+        self.link.handlers |= {Duplicate: self._on_duplicate, Shutdown: self._on_shutdown}
+        self.ways = ServerWays(self.link, session.hosts)
 
     @property
     def address(self) -> str:
-        return self.transport.format_address((self.ways.hosts[self.ways.used], self.port))
+        return self.link.transport.format_address((self.ways.hosts[self.ways.used], self._port))
 
     @property
     def fingerprints(self) -> tuple[str, str]:
         return fingerprint(self.key) if self.key is not None else "", ""
 
+    @property
+    def profile(self) -> LinkProfile:
+        return profile_of(self._context.session.profile)
+
     def shared_port(self) -> int:
-        return self.port
+        return self._port
 
     @property
     def use_name(self) -> bool:
-        return self.context.session.use_name or (isinstance(self.peer, Welcome) and self.peer.use_name)
+        return self._context.session.use_name or (isinstance(self.link.peer, Welcome) and self.link.peer.use_name)
+
+    @property
+    def prefixed(self) -> bool:
+        return self._context.session.use_name
+
+    def with_local_name(self, proposal: Propose) -> Propose:
+        return proposal
+
+    def client_names(self, topic: Topic) -> Topic:
+        return topic
+
+    def shows(self, topic: str, kind: Kind = "topic") -> bool:
+        return self.rights.shows(topic, kind)
+
+    async def prepare_port(self, route: Route) -> None:
+        return
 
     # --- calling
 
     async def run(self) -> None:
         """Connect and reconnect for ever. First close the connection of an earlier run."""
-        self.fail()
+        self.link.fail()
         self._call_in(0.0)
-        self._news = self.transport.network_news(self.hurry)
+        self._news = self.link.transport.network_news(self.hurry)
         with contextlib.nullcontext() if self._news is None else contextlib.closing(self._news):
             while True:
                 await self._until_due()
@@ -140,7 +163,7 @@ class ClientLink(Link):
 
     async def _until_due(self) -> None:
         """Wait for the time of the next attempt, which may change meanwhile."""
-        while (wait := self._call_at - self.context.now()) > 0:
+        while (wait := self._call_at - self._context.now()) > 0:
             self._changed.clear()
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(None if wait == inf else wait):
@@ -148,16 +171,16 @@ class ClientLink(Link):
 
     def _call_in(self, seconds: float) -> None:
         """Begin the next attempt so much later, or with `inf` not before another event."""
-        self._call_at = self.context.now() + seconds
-        self.status.retry_at = None if self.linked or seconds == inf else self._call_at
+        self._call_at = self._context.now() + seconds
+        self.link.status.retry_at = None if self.link.linked or seconds == inf else self._call_at
         self._changed.set()
 
     def retry(self) -> None:
         """Connect now instead of after the delay, and propose refused routes again."""
         self._stays_down = False
-        if not self.linked:
+        if not self.link.linked:
             self._call_in(0.0)
-        self.table.retry()
+        self.link.table.retry()
 
     def hurry(self) -> None:
         """Look for the server now: this machine's devices, addresses or routes have changed.
@@ -168,18 +191,18 @@ class ClientLink(Link):
         self.ways.changed()
         if self._attempt is not None:
             if self._sources() != self._attempted_from:
-                self._attempt.reschedule(self.context.loop.time())
-        elif self.linked:
-            self.send(self.keepalive.ping(self.handled))
-            self.keepalive.hurry()
+                self._attempt.reschedule(self._context.loop.time())
+        elif self.link.linked:
+            self.link.send(self.link.keepalive.ping(self.link.handled))
+            self.link.keepalive.hurry()
             if self._news is not None and self._news.why_silent(self._source):
                 self._call_in(0.0)
-        elif not self._stays_down and self.status.cause is not LinkCause.SHUT_DOWN:
+        elif not self._stays_down and self.link.status.cause is not LinkCause.SHUT_DOWN:
             self._call_in(0.0)
 
     def _sources(self) -> list[str]:
         """Return the addresses from which new connections leave."""
-        return [self.transport.source_address(host) for host in self.ways.hosts]
+        return [self.link.transport.source_address(host) for host in self.ways.hosts]
 
     def doubts(self) -> None:
         if self._attempt is None and self._call_at == inf:
@@ -187,14 +210,14 @@ class ClientLink(Link):
 
     async def _call(self) -> None:
         """Try once to connect; the present connection, if there is one, stays meanwhile."""
-        self._call_at, self._retry_after, key, connections = inf, 0.0, self.key, self.connections
-        began = self.context.now()
-        if self.linked:
-            self.send(self.keepalive.ping(self.handled))  # if it is answered first, the connection stays
-        elif not self.status.attempts:
-            self.log(Level.INFO, EventCode.LINK_CONNECTING, f"connecting to {self.peer_at}", link_status=True)
+        self._call_at, self._retry_after, key, connections = inf, 0.0, self.key, self.link.connections
+        began = self._context.now()
+        if self.link.linked:
+            self.link.send(self.link.keepalive.ping(self.link.handled))  # if it is answered first, the connection stays
+        elif not self.link.status.attempts:
+            self.link.log(Level.INFO, EventCode.LINK_CONNECTING, f"connecting to {self.link.peer_at}", link_status=True)
         else:
-            self.status.retry_at = began  # consoles show 0 s as a running attempt
+            self.link.status.retry_at = began  # consoles show 0 s as a running attempt
         self._attempted_from = self._sources()
         failure: Failure | None = None
         try:
@@ -207,51 +230,44 @@ class ClientLink(Link):
         if failure is not None:
             if moved_to is not None:
                 self.ways.failed(moved_to)
-            self._failed(failure, self.context.now() - began)
-        elif self.connections == connections:  # it was ended, or was not needed any more
-            if not self.linked and not self._stays_down and self._call_at == inf:
+            self._failed(failure, self._context.now() - began)
+        elif self.link.connections == connections:  # it was ended, or was not needed any more
+            if not self.link.linked and not self._stays_down and self._call_at == inf:
                 self._call_in(0.0)
         elif self._stays_down:  # an operator did so during the handshake
-            self.end("shut down", retry_after=None)
+            self.link.leave("shut down", retry_after=None)
         elif key is not self.key:  # changed during the handshake
-            self.end(_KEY_CHANGED, retry_after=0.0)
-
-    def up(self, stream: Stream, connection: ClientConnection | ServerConnection, event: Established) -> ControlChannel:
-        self._source = stream.own_address
-        control = super().up(stream, connection, event)
-        self._connected_at = self.context.now()
-        self._call_in(inf)
-        return control
+            self.link.leave(_KEY_CHANGED, retry_after=0.0)
 
     async def _connect(self, key: Key | None) -> Failure | None:
         """Connect to the server, or to the announced one that proves the key. Return the failure, if any."""
-        secret, began = key.secret if key else None, self.context.now()
-        hello = msgspec.structs.replace(self._hello, outlive=self.own_outlive)
+        secret, began = key.secret if key else None, self._context.now()
+        hello = msgspec.structs.replace(self._hello, outlive=self.link.own_outlive)
         acknowledged = 0
-        if self.session is not None:
-            hello = msgspec.structs.replace(hello, session=self.session.id, handled=self.handled)
-            acknowledged = self.session.acknowledged
+        if self.link.session is not None:
+            hello = msgspec.structs.replace(hello, session=self.link.session.id, handled=self.link.handled)
+            acknowledged = self.link.session.acknowledged
 
         def begin(suite: CipherSuite | None) -> ClientConnection:
-            return ClientConnection(hello, secret, suite or self._suite, multiplexed=self.transport.multiplexed)
+            return ClientConnection(hello, secret, suite or self._suite, multiplexed=self.link.transport.multiplexed)
 
         def is_needed(event: Established) -> bool:
             """Whether nothing has come on the present connection since the attempt began, or another way is better.
 
             What both sides have handled must be what they said, too: the present connection may have moved it on.
             """
-            is_alive = self.linked and self._moves_to is None and self.keepalive.carried_since(began)
-            session = (b"", 0) if self.session is None else (self.session.id, self.session.handled)
+            is_alive = self.link.linked and self._moves_to is None and self.link.keepalive.carried_since(began)
+            session = (b"", 0) if self.link.session is None else (self.link.session.id, self.link.session.handled)
             if is_alive or session != (hello.session, hello.handled):
                 return False
             # Where nothing was acknowledged meanwhile, a wrong number is a breach of the protocol.
-            if self.session is None or self.session.acknowledged == acknowledged:
+            if self.link.session is None or self.link.session.acknowledged == acknowledged:
                 return True
-            return self.session.could_resume(event)
+            return self.link.session.could_resume(event)
 
         if key is not None:  # without a key nothing proves a server: the transport connects to the only one, or refuses
             try:
-                hosts = await self.transport.servers()
+                hosts = await self.link.transport.servers()
             except OSError as error:
                 return _not_connected(self.address, error)
             if hosts is not None:
@@ -268,7 +284,7 @@ class ClientLink(Link):
                 self.ways.take(host)
                 self._take(stream, connection, event, more)
 
-            return await self.open(self.transport, host, self.port, connection, linked)
+            return await self.open(self.link.transport, host, self._port, connection, linked)
 
         return await first_of(self.ways.next_hosts() if self._moves_to is None else (self._moves_to,), connect)
 
@@ -278,9 +294,13 @@ class ClientLink(Link):
         The first message takes the confirmation along, after this side has left the connection before: the server takes
         all that was armed for disarmed then.
         """
-        if self.control is not None and isinstance(event.peer, Welcome) and not event.peer.session:
-            self.control.abort("the server has begun a new session")
-        self.up(stream, connection, event).receive(more)
+        if self.link.control is not None and isinstance(event.peer, Welcome) and not event.peer.session:
+            self.link.control.abort("the server has begun a new session")
+        self._source = stream.own_address
+        control = self.link.up(stream, connection, event)
+        self._connected_at = self._context.now()
+        self._call_in(inf)
+        control.receive(more)
 
     async def _find(
         self,
@@ -289,12 +309,12 @@ class ClientLink(Link):
         is_needed: Callable[[Established], bool],
     ) -> Failure | None:
         """Connect to the announced server that proves the key. Return the failure, or None if the link is up."""
-        proven, failures, unproven = await find_servers(self._trials, self.transport, hosts, begin)
+        proven, failures, unproven = await find_servers(self._trials, self.link.transport, hosts, begin)
         if proven:  # else the failure counts them
-            if unproven and not self.fault.unproven:
+            if unproven and not self.link.fault.unproven:
                 text = unproven_servers(unproven)
-                self.log(Level.WARNING, EventCode.LINK_UNPROVEN_SERVERS, text, link_status=True)
-            self.fault.unproven = unproven
+                self.link.log(Level.WARNING, EventCode.LINK_UNPROVEN_SERVERS, text, link_status=True)
+            self.link.fault.unproven = unproven
         accepting = [each for each in proven if each.refusal is None]
         if len(accepting) == 1:
             server = accepting[0]
@@ -308,11 +328,11 @@ class ClientLink(Link):
         for each in accepting:
             each.give_up()
         if accepting:
-            return Failure(self.transport.several([str(each.stream.address[0]) for each in accepting]))
+            return Failure(self.link.transport.several([str(each.stream.address[0]) for each in accepting]))
         # A refusal with the key is the server's; anybody may have sent the failures.
         refusals = [self._with_remedy(each.refusal) for each in proven if each.refusal is not None]
         failures = [self._with_remedy(each) for each in failures]
-        return refusals[0] if refusals else failure_of_search(self.transport, hosts, failures)
+        return refusals[0] if refusals else failure_of_search(self.link.transport, hosts, failures)
 
     def _with_remedy(self, failure: Failure) -> Failure:
         match failure.code:
@@ -323,7 +343,7 @@ class ClientLink(Link):
             case RefusalCode.SHUT_DOWN:
                 return failure._replace(reason=server_refusal(failure.reason))
             case RefusalCode.UNKNOWN_NAME:
-                add = f"rsb-console client add {shlex.quote(self.name)}"
+                add = f"rsb-console client add {shlex.quote(self.link.name)}"
                 remedy = f"run {add} on the server, or correct name in this side's session"
             case RefusalCode.ENCRYPTION_REQUIRED:
                 remedy = "set use_encryption and key_file"
@@ -356,7 +376,7 @@ class ClientLink(Link):
             if attempt.outcome.done():
                 failure = attempt.outcome.result()
             elif attempt.connects and isinstance(error, TimeoutError):
-                is_new = self.peer is None and self.status.cause is not LinkCause.NO_ANSWER
+                is_new = self.link.peer is None and self.link.status.cause is not LinkCause.NO_ANSWER
                 failure = await attempt.silence(probe=is_new)
             else:
                 failure = _not_connected(address, error)
@@ -364,36 +384,39 @@ class ClientLink(Link):
             attempt.end()
         return None if failure is None else self._with_remedy(failure)
 
-    def _with_device(self, reason: str) -> str:
+    def new_channels(self, control: ControlChannel, keys: SessionKeys) -> ClientChannels:
+        return ClientChannels(self.link, self, control, keys)
+
+    def why_lost(self, reason: str) -> str:
         """Return a failure's reason, with the fault of the network device that led to the server, if it has one."""
         wrong = self._news.why_silent(self._source) if self._news is not None and self._source else ""
         return f"{reason}; {wrong}" if wrong else reason
 
     def _failed(self, failure: Failure, took: float) -> None:
         """Log a failed attempt, which took so long (s), and plan the next one."""
-        if self.linked:
-            self.log(Level.DEBUG, EventCode.LINK_UNREACHABLE, f"no other connection: {failure.reason}")
-            if self.keepalive.in_doubt:
+        if self.link.linked:
+            self.link.log(Level.DEBUG, EventCode.LINK_UNREACHABLE, f"no other connection: {failure.reason}")
+            if self.link.keepalive.in_doubt:
                 self._call_in(self._delay(took))
             return
         if not failure.refused:
-            failure = failure._replace(reason=self._with_device(failure.reason))
-        self.status.attempts += 1
+            failure = failure._replace(reason=self.why_lost(failure.reason))
+        self.link.status.attempts += 1
         self._longest = _LONGEST_DELAY_UNREACHED
         if failure.code is RefusalCode.NAME_TAKEN:  # the one that has the name may be dead, which shows within seconds
-            if self.status.attempts > _NAME_MAY_BE_FREED:
+            if self.link.status.attempts > _NAME_MAY_BE_FREED:
                 self._longest = NAME_TRIED_EVERY
         elif failure.refused:
             self._longest = _LONGEST_DELAY
-        repeated = failure.reason == self.status.reason
-        expected = self.status.cause is LinkCause.CLOSED  # the server said goodbye, and is not back yet
-        self.status.down(failure.cause, failure.reason)
+        repeated = failure.reason == self.link.status.reason
+        expected = self.link.status.cause is LinkCause.CLOSED  # the server said goodbye, and is not back yet
+        self.link.status.down(failure.cause, failure.reason)
         code = EventCode.LINK_REFUSED if failure.refused else EventCode.LINK_UNREACHABLE
         # `peer_at` names the address already.
         reason = failure.reason.removeprefix(f"{self.address}: ")
-        peer = "the server" if reason.startswith(f"{self.address} ") else self.peer_at
+        peer = "the server" if reason.startswith(f"{self.address} ") else self.link.peer_at
         level = Level.DEBUG if repeated else Level.WARNING if expected else Level.ERROR
-        self.log(level, code, f"no link with {peer}: {reason}; trying again", link_status=True)
+        self.link.log(level, code, f"no link with {peer}: {reason}; trying again", link_status=True)
         if self._call_at == inf:  # else an operator has asked for the next one
             self._call_in(self._delay(took))
 
@@ -401,36 +424,35 @@ class ClientLink(Link):
         """Return the time (s) until the next attempt; the last one took so long."""
         if self._stays_down:
             return inf
-        if self.status.cause is LinkCause.SHUT_DOWN:
+        if self.link.status.cause is LinkCause.SHUT_DOWN:
             return self._asking.next()
-        if self.session is not None:  # an attempt that nobody answered was a pause, too
+        if self.link.session is not None:  # an attempt that nobody answered was a pause, too
             delay = self._returning.next()
             return max(min(delay, _FIRST_DELAY_AWAY), delay - took)
         return max(self._backoff.next(self._longest), self._retry_after)
 
     def _on_duplicate(self, message: Duplicate) -> None:
-        now = self.context.now()
-        begins = self.fault.cause is not LinkCause.NAME_TAKEN
-        self.fault.duplicates.take_news(message, self.context.wall())
+        now = self._context.now()
+        duplicates, begins = self.link.fault.duplicates, self.link.fault.cause() is not LinkCause.NAME_TAKEN
+        duplicates.take_news(message, self._context.wall())
         if not message.address and not begins:
-            self.log(Level.INFO, EventCode.LINK_NAME_FREE, self.fault.duplicates.ended_text(), link_status=True)
+            self.link.log(Level.INFO, EventCode.LINK_NAME_FREE, duplicates.ended_text(), link_status=True)
         if message.address and (begins or now - self._duplicates_logged_at >= _DUPLICATES_LOGGED_EVERY):
             self._duplicates_logged_at = now
-            self.log(Level.WARNING, EventCode.LINK_NAME_TAKEN, self.fault.duplicates.text(now), link_status=True)
+            self.link.log(Level.WARNING, EventCode.LINK_NAME_TAKEN, duplicates.text(now), link_status=True)
 
-    def lost(self, reason: str, code: EventCode) -> None:
-        super().lost(self._with_device(reason) if code is EventCode.LINK_LOST else reason, code)
+    def lost(self) -> None:
         self._longest = _LONGEST_DELAY_UNREACHED
         self._backoff.reset()
-        if self.is_suspended and self.context.now() - self._connected_at > _LASTING:
+        if self.link.is_suspended and self._context.now() - self._connected_at > _LASTING:
             self._returning.reset()
             self._call_in(0.0)
         else:
             self._call_in(self._delay())
 
     def _on_shutdown(self, message: Shutdown) -> None:
-        control = self.channels.control
-        self.peer_leaves()
+        control = self.link.channels.control
+        self.link.reports.peer_leaves()
         if message.retry_after is None:
             control.abort(server_refusal(message.reason), EventCode.LINK_SHUT_DOWN)
         else:
@@ -439,52 +461,51 @@ class ClientLink(Link):
 
     def change_key(self, key: Key | None) -> None:
         """Use another key from now on: a link that is up connects again."""
-        self.key, self.encrypted = key, key is not None
-        self.end(_KEY_CHANGED, retry_after=0.0)
+        self.key, self.link.encrypted = key, key is not None
+        self.link.leave(_KEY_CHANGED, retry_after=0.0)
         self._call_in(0.0)
 
     @property
     def shut_down(self) -> bool:
         """Whether the link is down on purpose and waits for this side's operator."""
-        return not self.linked and self._stays_down
+        return not self.link.linked and self._stays_down
 
     def stay_down(self, reason: str) -> None:
         """End the link, or the attempts at it, on purpose; then wait for `retry`."""
         self._stays_down = True
         self._call_in(inf)
-        self.end(reason, retry_after=None)
+        self.link.leave(reason, retry_after=None)
         # After the link's end, which sets a reason of its own.
-        command = f"rsb-console retry {shlex.quote(self.name)}"
-        self.status.down(LinkCause.CLOSED, f"{reason}; press r or run `{command}` to connect again")
+        command = f"rsb-console retry {shlex.quote(self.link.name)}"
+        self.link.status.down(LinkCause.CLOSED, f"{reason}; press r or run `{command}` to connect again")
 
     def tick(self) -> None:
-        super().tick()
-        if self.fault.unproven:  # those whose announcements are gone; one of the rest is the linked server
-            self.fault.unproven = min(self.fault.unproven, max(0, self.transport.announced_servers - 1))
-        if not self.linked:
+        if self.link.fault.unproven:  # those whose announcements are gone; one of the rest is the linked server
+            self.link.fault.unproven = min(self.link.fault.unproven, max(0, self.link.transport.announced_servers - 1))
+        if not self.link.linked:
             return
         if self._attempt is None:
             self._moves_to = self.ways.tick()
             if self._moves_to is not None:
                 self._call_in(_REPORTS_FIRST)
-        elif self._moves_to is None and not self.keepalive.in_doubt:
-            self._attempt.reschedule(self.context.loop.time())
+        elif self._moves_to is None and not self.link.keepalive.in_doubt:
+            self._attempt.reschedule(self._context.loop.time())
 
-    def way_snapshots(self) -> tuple[WaySnapshot, ...]:
+    def ways_shown(self) -> tuple[WaySnapshot, ...]:
         return self.ways.snapshots()
 
     # --- routes
 
     @property
     def rights(self) -> Rights:
-        return rights_of_server(self.context.session, self.table.listed)
+        return rights_of_server(self._context.session, self.link.table.listed)
 
     def change_listed(self, topics: set[Identity]) -> None:
         """Use the rights of another session, which lists these topics."""
         # What a pattern has made is in no file, and may stay for as long as it is there.
-        self.table.listed = topics | {route.spec.identity for route in self.routes.values() if route.pattern}
-        self.table.rights_changed()
-        self.patterns.renew()
+        self.link.table.listed = topics | {route.spec.identity for route in self.link.routes.values() if route.pattern}
+        self.link.table.rights_changed()
+        self.link.patterns.renew()
 
 
 def _not_connected(address: str, error: OSError) -> Failure:

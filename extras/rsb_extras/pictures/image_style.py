@@ -1,0 +1,91 @@
+"""How images are drawn on this terminal: as pixels or in characters, in how many colours, and how finely."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rsb_bridge.model.wording import Wording
+from rsb_extras.pictures.blocks import image_rows, wished_pixels
+from rsb_extras.pictures.graphics import protocol_of
+
+if TYPE_CHECKING:
+    from rsb_extras.pictures.picture import Pixels, Wish
+    from rsb_extras.pictures.picture_pane import PicturePane
+    from rsb_extras.pictures.picture_rows import Row
+
+_SLOW, _IN_CHARACTERS = 0.3, 3
+"""s that a line may take for an image, in which keys wait; and how often its resolution is halved until it is drawn in
+characters, which come in pieces between other things."""
+_DEAR = 50_000
+"""Bytes/s of a line below which 256 colours are worth more than true ones: an image in blocks comes twice as fast."""
+
+
+class StyleText(Wording):
+    ASCII = "ASCII: LC_ALL=C.UTF-8 shows more, if the terminal has Unicode"
+    FEW_COLOURS = "{colours} colours: COLORTERM=truecolor or terminal: {{colours: true}} in console.yaml shows more"
+
+
+class ImageStyle:
+    """The style of the images of one pane.
+
+    Attributes:
+        strain: how often the resolution is halved for a terminal that reads slowly.
+    """
+
+    def __init__(self, pane: PicturePane) -> None:
+        self._pane = pane
+        self.strain = 0
+
+    @property
+    def colours(self) -> int:
+        app, terminal = self._pane.app, self._pane.terminal
+        facts = terminal.facts
+        if app.no_color or app.console.color_system is None:
+            return 0
+        # With more, a map has half blocks of two tints, in which ASCII would show walls.
+        if app.ansi_color or terminal.ascii_only:
+            return min(facts.colours, 16)
+        return min(facts.colours, 256) if terminal.writer.line.rate < _DEAR else facts.colours
+
+    @property
+    def _image_colours(self) -> int:
+        """The colours for an image: in ASCII, which has no shapes for two of them, characters show its brightness."""
+        return 0 if self._pane.terminal.ascii_only else self.colours
+
+    @property
+    def shows_pixels(self) -> bool:
+        terminal = self._pane.terminal
+        return not terminal.ascii_only and protocol_of(terminal.facts) != "" and self.strain < _IN_CHARACTERS
+
+    def pixels_of_a_cell(self) -> tuple[int, int]:
+        """Return how many pixels of an image have room in a character's cell, across and down."""
+        facts = self._pane.terminal.facts
+        if self.shows_pixels and facts.cell is not None:
+            across, down = (round(each / 2**self.strain) for each in facts.cell)
+            return across, down
+        return wished_pixels(self._image_colours, sextants=facts.draws_sextants)
+
+    def in_blocks(self, content: Pixels, wish: Wish) -> list[Row]:
+        sextants = self._pane.terminal.facts.draws_sextants
+        return image_rows(content, wish, colours=self._image_colours, sextants=sextants)
+
+    def spare(self) -> bool:
+        """Draw fewer pixels, and at last characters, for a line that takes long for an image; or more again.
+
+        Return whether that changes the style.
+        """
+        before, seconds = self.strain, self._pane.image_bytes / self._pane.terminal.writer.line.rate
+        finer = seconds * (4 if self.shows_pixels else 1)
+        if self.shows_pixels and seconds > _SLOW:
+            self.strain += 1
+        elif self.strain and finer < _SLOW / 2:
+            self.strain -= 1
+        return self.strain != before
+
+    def line(self) -> str:
+        """Return what the terminal was found to show, or how to get more."""
+        terminal = self._pane.terminal
+        if terminal.ascii_only:
+            return StyleText.ASCII()
+        few = terminal.facts.colours <= 16 and not self._pane.app.no_color
+        return StyleText.FEW_COLOURS(colours=terminal.facts.colours or "no") if few else terminal.facts.line()
