@@ -14,12 +14,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import msgspec
 import pytest
-from tests.command.test_command import BRINGUP
-from tests.config.test_imports import DOMAINS
 from tests.console.scripted import LINK, NOW, SESSION, ScriptedEngine, call_route, route, whole_answer
 from tests.support import constants, replaced, surroundings
 from tests.support.commands import parser_and_commands
 from tests.support.fleet import ServerEngine, topics
+from tests.support.foreign_files import BRINGUP, DOMAINS
 from tests.support.operators import ANNA
 from tests.support.running import Running
 

@@ -32,8 +32,6 @@ def add_local_commands(command: AddCommand, complete: Complete) -> None:
         "path", type=Path, metavar="PATH", nargs="?", default=Path(DEFAULT_KEY_FILE), help="key file (%(default)s)"
     )
     keygen.add_argument("--force", action="store_true", help="replace an existing key file")
-    summary = "convert another bridge's file to a session"
-    _import_arguments(command("import", subcommand("local_commands:import_sessions"), summary), complete)
     summary = "list Bluetooth adapters and their busy RFCOMM channels"
     scan = command("bt-scan", subcommand("bt_scan:scan_bluetooth"), summary)
     only = scan.add_argument("--adapter", metavar="NAME", help="only this one: hci0, or its MAC")
@@ -83,29 +81,6 @@ def _service_arguments(parser: argparse.ArgumentParser, complete: Complete) -> N
             action.add_argument("--force", action="store_true", help="overwrite or remove a foreign unit, too")
         if name != "uninstall":
             action.add_argument("--setup", type=Path, metavar="PATH", help="setup.bash of a workspace, sourced first")
-
-
-def _import_arguments(parser: argparse.ArgumentParser, complete: Complete) -> None:
-    parser.description = (
-        "FILE is config/bringup.yaml of ros2_socket_bridge, a configuration of domain_bridge (of which each pair of "
-        "domains becomes two sessions), or one of zenoh-bridge-ros2dds. What cannot be carried over is printed, and "
-        "written into the session as comments."
-    )
-    complete(parser.add_argument("file", type=Path, metavar="FILE", help="file to convert"), "yaml_files")
-    parser.add_argument("--name", help="name of the bridge; default: the file's, if it has one")
-    parser.add_argument("--role", choices=("client", "server"), help="default: as the file has it")
-    parser.add_argument("--key-file", type=Path, metavar="PATH", help="file with the key")
-    parser.add_argument("--port", type=int, help="port of the server; default: the file's, or 7060")
-    parser.add_argument("--domain-id", type=int, metavar="N", help="ROS domain; default: the file's, or $ROS_DOMAIN_ID")
-    parser.add_argument("--use-name", action="store_true", help="prefix the client's topics on the server")
-    parser.add_argument("--no-encryption", action="store_true", help="all data crosses unencrypted")
-    complete(
-        parser.add_argument(
-            "-o", "--output", type=Path, metavar="PATH", help="file, or folder for several; default: standard output"
-        ),
-        "yaml_files",
-    )
-    parser.add_argument("--force", action="store_true", help="replace existing session files")
 
 
 def add_completion(command: AddCommand, _: Complete) -> None:

@@ -7,52 +7,18 @@ from typing import Any
 
 import pytest
 from tests.support.commands import rsb_console
+from tests.support.foreign_files import DOMAINS, ZENOH
 from tests.support.wording import says
 
-from rsb_bridge.config.imports.domain_bridge import DomainBridgeMistake, DomainBridgeNote
-from rsb_bridge.config.imports.importing import ImportMistake, import_file
-from rsb_bridge.config.imports.name_expressions import globs, patterns
-from rsb_bridge.config.imports.other_bridges import Choices, Imported
-from rsb_bridge.config.imports.zenoh_bridge import ZenohBridgeMistake, ZenohBridgeNote
 from rsb_bridge.config.rights import rights_of_client
-from rsb_bridge.config.session_file import SavingProblem, SessionError, dump, load, parse, same
+from rsb_bridge.config.session_file import SessionError, dump, load, parse, same
 from rsb_bridge.model.patterns import Pattern, is_valid
 from rsb_bridge.model.session import Client, Grant, Topic
-
-DOMAINS = """\
-name: hall
-from_domain: 2
-to_domain: 3
-topics:
-  clock:
-    type: rosgraph_msgs/msg/Clock
-  battery:
-    type: sensor_msgs/msg/BatteryState
-    remap: hall/battery
-    qos: {reliability: best_effort, durability: volatile, depth: 5, deadline: 500000000, lifespan: -1,
-          liveliness: manual_by_topic, liveliness_lease_duration: 2000000000}
-  goal_pose:
-    type: geometry_msgs/msg/PoseStamped
-    reversed: True
-  chat:
-    type: std_msgs/msg/String
-    bidirectional: True
-"""
-ZENOH = """\
-plugins:
-  ros2dds:
-    namespace: /robot1
-    domain: 7
-    allow:
-      publishers: [".*/scan", "/(map|tf)"]
-      subscribers: ["/cmd_vel"]
-      service_servers: [".*/light"]
-      action_servers: ["/dock"]
-    pub_max_frequencies: ["/tf=10", ".*/scan=5"]
-    pub_priorities: ["/map=7", ".*/scan=2"]
-    queries_timeout: {default: 8.0}
-connect: {endpoints: [tcp/192.168.1.10:7447]}
-"""
+from rsb_extras.imports.domain_bridge import DomainBridgeMistake, DomainBridgeNote
+from rsb_extras.imports.importing import ImportMistake, import_file
+from rsb_extras.imports.name_expressions import globs, patterns
+from rsb_extras.imports.other_bridges import Choices, Imported, OtherFile
+from rsb_extras.imports.zenoh_bridge import ZenohBridgeMistake, ZenohBridgeNote
 
 
 @pytest.fixture(autouse=True)
@@ -319,7 +285,7 @@ def test_foreign_file_leads_to_the_import(text: str, origin: str) -> None:
     Path("bridge.yaml").write_text(text)
     run = rsb_console("check", "bridge.yaml")
     assert run.returncode == 2
-    assert says(run.stderr, SavingProblem.FOREIGN, origin=origin, path="bridge.yaml")
+    assert says(run.stderr, OtherFile.CONVERT, origin=origin, path="bridge.yaml")
 
 
 def test_import_asks_for_missing_key_and_address() -> None:

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import yaml
 
 from rsb_bridge.config.decoding import join, show
-from rsb_bridge.config.imports.other_bridges import Choices, Imported
 from rsb_bridge.config.validation import build
 from rsb_bridge.config.yaml_text import Document, SessionError, scalar
 from rsb_bridge.model.limits import DEFAULT_PORT
@@ -19,6 +18,7 @@ from rsb_bridge.model.names import well_formed
 from rsb_bridge.model.qos import TIMES
 from rsb_bridge.model.session import Problem
 from rsb_bridge.model.wording import Wording
+from rsb_extras.imports.other_bridges import Choices, Imported
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -5,11 +5,19 @@ from __future__ import annotations
 from enum import Enum
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from rsb_bridge.model.wording import Wording
+
 if TYPE_CHECKING:
     from rsb_bridge.model.session import Role, Session
 
 ZENOH_PLUGIN = "ros2dds"
 _DOMAINS = {"from_domain", "to_domain"}
+
+
+class OtherFile(Wording):
+    """The reason why a file is no session."""
+
+    CONVERT = "this is a file of {origin}: convert it with `rsb-console import {path}`"
 
 
 class OtherBridge(Enum):

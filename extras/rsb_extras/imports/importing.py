@@ -5,18 +5,18 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING, Any
 
-from rsb_bridge.config.imports.domain_bridge import import_domain_bridge
-from rsb_bridge.config.imports.other_bridges import OtherBridge, origin_of
-from rsb_bridge.config.imports.thesis import import_bringup
-from rsb_bridge.config.imports.zenoh_bridge import import_zenoh_bridge
 from rsb_bridge.config.yaml_text import SessionError, read_text, read_yaml
 from rsb_bridge.model.session import Problem
 from rsb_bridge.model.wording import Wording
+from rsb_extras.imports.domain_bridge import import_domain_bridge
+from rsb_extras.imports.other_bridges import OtherBridge, origin_of
+from rsb_extras.imports.thesis import import_bringup
+from rsb_extras.imports.zenoh_bridge import import_zenoh_bridge
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from rsb_bridge.config.imports.other_bridges import Choices, Imported
+    from rsb_extras.imports.other_bridges import Choices, Imported
 
 
 class ImportMistake(Wording):

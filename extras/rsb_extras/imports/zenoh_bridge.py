@@ -10,8 +10,6 @@ import fnmatch
 from typing import TYPE_CHECKING, Any
 
 from rsb_bridge.config.decoding import show
-from rsb_bridge.config.imports.name_expressions import globs, patterns
-from rsb_bridge.config.imports.other_bridges import ZENOH_PLUGIN, Choices, Imported
 from rsb_bridge.config.validation import build
 from rsb_bridge.config.yaml_text import SessionError
 from rsb_bridge.model.limits import DEFAULT_PORT
@@ -19,6 +17,8 @@ from rsb_bridge.model.names import well_formed
 from rsb_bridge.model.patterns import Pattern, is_pattern
 from rsb_bridge.model.session import Problem
 from rsb_bridge.model.wording import Wording
+from rsb_extras.imports.name_expressions import globs, patterns
+from rsb_extras.imports.other_bridges import ZENOH_PLUGIN, Choices, Imported
 
 if TYPE_CHECKING:
     from collections.abc import Callable
