@@ -31,7 +31,7 @@ BRINGS_TRANSPORTS: Mapping[str, str] = {"zenoh": "zenoh", "zenoh-drop": "zenoh"}
 """The same of transports."""
 BRINGS_COMMANDS: Mapping[str, str] = {
     "audit": "audit", "bench": "bench", "doctor": "doctor", "fleet": "fleet", "import": "imports",
-    "look": "pictures", "pub": "driving", "record": "recording", "report": "history",
+    "look": "pictures", "pub": "driving", "record": "recording", "report": "history", "service": "service",
 }  # fmt: skip
 """The same of subcommands."""
 BRINGS_ACTIONS: Mapping[str, str] = {

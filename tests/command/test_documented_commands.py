@@ -269,7 +269,10 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
     for name in ("XDG_STATE_HOME", "XDG_CONFIG_HOME"):
         monkeypatch.setenv(name, str(tmp_path / name))
-    constants.SYSTEM_UNITS.set(monkeypatch, tmp_path / "system")
+    if "service" not in MISSING:
+        from rsb_extras.service.tests.service_places import SYSTEM_UNITS
+
+        SYSTEM_UNITS.set(monkeypatch, tmp_path / "system")
     for name in ("robot1.key", "key.txt"):
         write_key(tmp_path / name)
     for name in ("robot1.yaml", "robot2.yaml"):

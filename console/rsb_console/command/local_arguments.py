@@ -41,8 +41,6 @@ def add_local_commands(command: AddCommand, complete: Complete) -> None:
     demo = command("demo", subcommand("local_commands:demo"), summary)
     demo.add_argument("--no-ui", action="store_true", help="print the log, without the console")
     demo.add_argument("--seconds", type=seconds, metavar="N", help="stop after N s")
-    service = command("service", subcommand("service:show_unit"), "run a session as a service of systemd")
-    _service_arguments(service, complete)
 
 
 def _run_arguments(parser: argparse.ArgumentParser, complete: Complete) -> None:
@@ -64,23 +62,6 @@ def _run_arguments(parser: argparse.ArgumentParser, complete: Complete) -> None:
     )
     parser.add_argument("--control", type=Path, metavar="PATH", help="path of the control socket to serve")
     console_options(parser, complete)
-
-
-def _service_arguments(parser: argparse.ArgumentParser, complete: Complete) -> None:
-    actions = parser.add_subparsers(metavar="ACTION", required=True)
-    for name, summary in (
-        ("install", "write the session's unit and print the next commands"),
-        ("show", "print the session's unit"),
-        ("uninstall", "remove the session's unit"),
-    ):
-        action = actions.add_parser(name, help=summary, description=f"{summary[0].upper()}{summary[1:]}.")
-        action.set_defaults(command=subcommand(f"service:{name}_unit"))
-        complete(action.add_argument("session", type=Path, metavar="SESSION", help="session file"), "yaml_files")
-        action.add_argument("--system", action="store_true", help="a system service, not one of this user")
-        if name != "show":
-            action.add_argument("--force", action="store_true", help="overwrite or remove a foreign unit, too")
-        if name != "uninstall":
-            action.add_argument("--setup", type=Path, metavar="PATH", help="setup.bash of a workspace, sourced first")
 
 
 def add_completion(command: AddCommand, _: Complete) -> None:

@@ -6,11 +6,11 @@ import getpass
 import os
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.support import constants
 from tests.support.captured import captured
 from tests.support.commands import parser_and_commands
 from tests.support.systemd import exposure
@@ -18,13 +18,16 @@ from tests.support.wording import says
 
 from rsb_bridge.config.session_file import save
 from rsb_bridge.model.session import Session
-from rsb_console.command.service import Service, ServiceText, kept_variables, unit_name
+from rsb_extras.service.systemd_service import CONFINED, Service, ServiceText, kept_variables, program, unit_name
+from rsb_extras.service.tests.service_places import PROGRAM_ARGUMENTS, SYSTEM_UNITS
+
+UNIT = Path(__file__).parents[4] / "configs/rsb-console@.service"
 
 
 @pytest.fixture(autouse=True)
 def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
-    constants.SYSTEM_UNITS.set(monkeypatch, tmp_path / "system")
+    SYSTEM_UNITS.set(monkeypatch, tmp_path / "system")
     for name in (*kept_variables(os.environ), "ROS_DISTRO"):
         monkeypatch.delenv(name, raising=False)
     return tmp_path
@@ -207,3 +210,18 @@ def test_systemd_takes_the_units(tmp_path: Path, system: bool, name: str) -> Non
     assert [line for line in run.stderr.splitlines() if unit.name in line] == []
     if system:
         assert exposure(unit) < 3
+
+
+def test_what_the_command_installs_is_confined_as_much() -> None:
+    lines = UNIT.read_text().splitlines()
+    made = Service(Path("/etc/rsb-console/robot1.yaml"), ("/bin/true",), system=True, user="ros").text().splitlines()
+    assert set(CONFINED) <= set(lines)
+    names = {line.partition("=")[0] for line in CONFINED} | {"LimitNOFILE", "NoNewPrivileges", "ProtectHome", "UMask"}
+    for each in (lines, made):
+        assert {line.partition("=")[0] for line in each} >= names
+
+
+def test_a_service_runs_nothing_of_its_folder(monkeypatch: pytest.MonkeyPatch) -> None:
+    """systemd's working folder of a user's service is the user's home."""
+    PROGRAM_ARGUMENTS.set(monkeypatch, ["/nowhere/pytest"])
+    assert program() == (sys.executable, "-P", "-m", "rsb_console")

@@ -221,7 +221,7 @@ def _service(arguments: Namespace) -> Service:
         setup = of_ros if of_ros.is_file() else None
     return Service(
         session=session,
-        program=_program(),
+        program=program(),
         system=arguments.system,
         user=_owner(session),
         setup=None if setup is None else Path(os.path.abspath(setup)),  # noqa: PTH100
@@ -234,7 +234,7 @@ def kept_variables(environ: Mapping[str, str]) -> dict[str, str]:
     return {name: environ[name] for name in sorted(environ) if _KEPT.fullmatch(name) and name not in _LEFT_OUT}
 
 
-def _program() -> tuple[str, ...]:
+def program() -> tuple[str, ...]:
     """Return the command line that runs this program from any folder."""
     found = shutil.which(sys.argv[0])
     if found is not None and Path(found).name == "rsb-console":
