@@ -30,13 +30,13 @@ BRINGS: Mapping[str, str] = {
 BRINGS_TRANSPORTS: Mapping[str, str] = {"zenoh": "zenoh", "zenoh-drop": "zenoh"}
 """The same of transports."""
 BRINGS_COMMANDS: Mapping[str, str] = {
-    "audit": "audit", "bench": "bench", "doctor": "doctor", "fleet": "fleet", "import": "imports",
+    "audit": "audit", "bench": "bench", "demo": "demo", "doctor": "doctor", "fleet": "fleet", "import": "imports",
     "look": "pictures", "pub": "driving", "record": "recording", "report": "history", "service": "service",
 }  # fmt: skip
 """The same of subcommands."""
 BRINGS_ACTIONS: Mapping[str, str] = {
-    "drive": "driving", "history": "history", "import_session": "imports", "look": "pictures", "publish": "driving",
-    "record": "recording",
+    "demo": "demo", "drive": "driving", "history": "history", "import_session": "imports", "look": "pictures",
+    "publish": "driving", "record": "recording",
     **dict.fromkeys(("dismiss", "edit_marked", "mark", "open_robot"), "fleet"),
 }  # fmt: skip
 """The same of actions of the console, by their ids in ``keys.yaml``."""

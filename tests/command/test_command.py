@@ -390,7 +390,6 @@ def test_bad_arguments_are_refused_in_words() -> None:
         (("chekc", "robot1.yaml"), CommandText.MISSPELT(word="chekc", command="check")),
         (("run", "--no-ui"), LocalText.SESSION_MISSING()),
         (("run", "--log-format", "xml", "robot1.yaml"), "invalid choice: 'xml'"),
-        (("demo", "--seconds", "0"), f"argument --seconds: {not_seconds(text='0', noun='number of seconds')}"),
         (
             ("run", "--status-every", "soon", "robot1.yaml"),
             f"--status-every: {not_seconds(text='soon', noun='number of seconds')}",
@@ -528,30 +527,3 @@ def test_more_interrupts_while_stopping_change_nothing() -> None:
     lines += [json.loads(line) for line in output.splitlines()]
     assert [line["text"] for line in lines if line["code"] == "engine.stopping"] == ["stopping: SIGINT"]
     assert all({"time", "level", "code", "text"} <= line.keys() and "number" not in line for line in lines)
-
-
-@pytest.mark.usefixtures("only_demo")
-def test_demo_bridges_and_leaves_one_topic_to_add() -> None:
-    """A Ctrl-C goes to the terminal's whole process group: the simulated robot writes no traceback for it."""
-    environment = os.environ | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-    with subprocess.Popen(
-        [COMMAND, "demo", "--no-ui", "--seconds", "600"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env=environment,
-        start_new_session=True,
-    ) as run:
-        assert run.stdout
-        seen = ""
-        while ": 1 disarmed, 9 ok |" not in seen:  # each topic flows, or is answered; /cmd_vel waits for an operator
-            line = run.stdout.readline()
-            assert line
-            seen += line
-        os.killpg(run.pid, signal.SIGINT)
-        output, errors = run.communicate(timeout=120)
-    assert (run.returncode, own_lines(errors)) == (0, [])
-    assert "refused" not in seen
-    assert "/goal_pose" in output
-    assert "NOTHING CAME" not in output
-    assert "/battery_state" not in seen + output

@@ -139,13 +139,14 @@ def test_it_is_taken(line: Line, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 _OF_BENCH = "../extras/rsb_extras/bench/tests/test_command.py"
+_OF_DEMO = "../extras/rsb_extras/demo/tests/test_demo.py"
 _OF_FLEET = "../extras/rsb_extras/fleet/tests/test_demo_fleet.py"
 _ELSEWHERE = {
     "bench": (_OF_BENCH, "test_ctrl_c_prints_results_and_leaves_no_process"),
     "bench --quick": (_OF_BENCH, "test_a_short_run_on_this_machine"),
     "bt-scan": ("bluetooth/guest/test_scan.py", "test_what_the_command_prints"),
     "demo": (_OF_FLEET, "test_no_process_outlives_a_demo_that_is_killed"),
-    "demo --no-ui --seconds 20": ("command/test_command.py", "test_demo_bridges_and_leaves_one_topic_to_add"),
+    "demo --no-ui --seconds 20": (_OF_DEMO, "test_demo_bridges_and_leaves_one_topic_to_add"),
     "demo --fleet": (
         _OF_FLEET, "test_screen_opens_leads_to_robot_and_back"
     ),

@@ -21,9 +21,6 @@ ACTIONS = (
     Action("new_session", "f2", "new", "Write a new session", Group.SESSION, changes=True,
            run=late(f"{_PLACE}:new_session"),
            begins=Beginning("n", "New session", "a form that creates the session file and the key", 2, "New…")),
-    Action("demo", "f4", "demo", "Run the demo: a simulated robot on this machine", Group.SESSION, changes=True,
-           run=late(f"{_PLACE}:demo"),
-           begins=Beginning("d", "Demo", "a simulated robot, bridged on this machine", 1, writes=False)),
     Action("welcome", "f5", "welcome", "Show the welcome screen", Group.SESSION, changes=True,
            run=late(f"{_PLACE}:welcome")),
 )  # fmt: skip

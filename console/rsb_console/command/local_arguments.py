@@ -37,10 +37,6 @@ def add_local_commands(command: AddCommand, complete: Complete) -> None:
     only = scan.add_argument("--adapter", metavar="NAME", help="only this one: hci0, or its MAC")
     complete(only, "adapters")
     scan.add_argument("--json", action="store_true", help="print JSON, for programs")
-    summary = "bridge two ROS domains on this machine, with a simulated robot"
-    demo = command("demo", subcommand("local_commands:demo"), summary)
-    demo.add_argument("--no-ui", action="store_true", help="print the log, without the console")
-    demo.add_argument("--seconds", type=seconds, metavar="N", help="stop after N s")
 
 
 def _run_arguments(parser: argparse.ArgumentParser, complete: Complete) -> None:

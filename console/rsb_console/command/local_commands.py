@@ -1,4 +1,4 @@
-"""The commands `run`, `attach` and `keygen`; `demo` and `completion`, which start other modules.
+"""The commands `run`, `attach`, `keygen` and `completion`.
 
 Each command imports ROS, Textual or D-Bus itself if it needs them. So help, keygen and check answer at once, even on a
 machine without them.
@@ -97,15 +97,6 @@ def completion(arguments: Namespace) -> int:
     from rsb_console.command.completion import script  # noqa: PLC0415 (not needed elsewhere)
 
     return script(arguments)
-
-
-def demo(arguments: Namespace) -> int:
-    allow_many_descriptors()
-    if not arguments.no_ui and not can_draw("rsb-console demo --no-ui"):
-        return USAGE
-    from rsb_console.command.demo import run_demo  # noqa: PLC0415 (needs ROS)
-
-    return run_demo(ui=not arguments.no_ui, seconds=arguments.seconds)
 
 
 def can_draw(instead: str) -> bool:

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import os
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rsb_bridge.api import EngineError
 from rsb_bridge.control.control_sockets import SUFFIX
 from rsb_bridge.model.commands import Effect
 from rsb_bridge.model.wording import Wording
@@ -22,8 +20,6 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Session
     from rsb_console.console_api import Console
     from rsb_console.screens.main import MainScreen
-
-_ANOTHER_DEMO = "This robot and its bridges end; a new robot starts, with the demo's first topics."
 
 
 class SessionQuestion(Wording):
@@ -141,34 +137,6 @@ async def new_session(screen: MainScreen, server_ip: str = "") -> None:
     new = await console.ask(NewSessionScreen(console, partial(may_run, console), server_ip))
     if new is not None:
         await console.run_session(new.session, new.path)
-
-
-async def demo(screen: MainScreen) -> None:
-    """Run the demo: a simulated robot on this machine."""
-    from rsb_console.session.demo_session import running_demo  # noqa: PLC0415 -- keeps the start short
-
-    console = screen.console
-    runs = console.temporary and console.engine is not None
-    if runs and console.snapshot().running:
-        title = "The demo runs already. Start it again?"
-        agreed = await confirm_end(console, title, "Start again", means=_ANOTHER_DEMO)
-    else:
-        agreed = await confirm_end(console, "Run the demo instead?", "Run")
-    if not agreed:
-        return
-    console.notify("the simulated robot starts …", timeout=3)
-    resources = contextlib.ExitStack()
-    starting = asyncio.ensure_future(asyncio.to_thread(resources.enter_context, running_demo()))
-    try:
-        # The thread cannot be cancelled: what it starts has to be ended once it is there.
-        robot = await asyncio.shield(starting)
-    except EngineError as error:
-        console.notify(str(error), title="No demo", severity="error", markup=False, timeout=15)
-    except asyncio.CancelledError:
-        starting.add_done_callback(lambda _: resources.close())
-        raise
-    else:
-        await console.run_session(robot.session, robot.path, resources, temporary=True)
 
 
 async def may_run(console: Console, path: Path) -> bool:

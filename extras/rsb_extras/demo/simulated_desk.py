@@ -17,9 +17,9 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
 from rsb_bridge.ros.ros_interface import RosError
-from rsb_bridge.ros.simulation.robot_frames import FrameListener
-from rsb_bridge.ros.simulation.rooms import TOUR
-from rsb_bridge.ros.simulation.simulated_node import CALL_EVERY, LATCHED, SimulatedNode
+from rsb_extras.demo.robot_frames import FrameListener
+from rsb_extras.demo.rooms import TOUR
+from rsb_extras.demo.simulated_node import CALL_EVERY, LATCHED, SimulatedNode
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

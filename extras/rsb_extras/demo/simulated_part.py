@@ -1,8 +1,8 @@
 """The demo's simulated robot and its desk: real topics, about the sizes of the thesis's table 3.1.
 
-Run as ``python -m rsb_bridge.ros.simulation robot|desk|listener DOMAIN [TOPIC...]``: it prints a JSON line of message
-counts by topic every second, and ends with its standard input, so that it never outlives its starter. A line of its
-standard input is a topic that it stops publishing. The listener subscribes to topics of simulated robots.
+Run as ``python -m rsb_extras.demo.simulated_part robot|desk|listener DOMAIN [TOPIC...]``: it prints a JSON line of
+message counts by topic every second, and ends with its standard input, so that it never outlives its starter. A line of
+its standard input is a topic that it stops publishing. The listener subscribes to topics of simulated robots.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from rsb_bridge.ros.simulation.simulated_node import SimulatedNode
+    from rsb_extras.demo.simulated_node import SimulatedNode
 
 
 def main() -> None:
     """Simulate until standard input ends."""
-    parser = argparse.ArgumentParser(prog="python -m rsb_bridge.ros.simulation", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m rsb_extras.demo.simulated_part", description=__doc__)
     parser.add_argument("part", choices=("robot", "desk", "listener"))
     parser.add_argument("domain", type=int)
     parser.add_argument("topics", nargs="*")
@@ -46,10 +46,10 @@ def main() -> None:
 def _part(name: str, domain: int, topics: Sequence[str]) -> SimulatedNode:
     # Each part imports the messages that it needs.
     if name == "robot":
-        from rsb_bridge.ros.simulation.simulated_robot import SimulatedRobot  # noqa: PLC0415
+        from rsb_extras.demo.simulated_robot import SimulatedRobot  # noqa: PLC0415
 
         return SimulatedRobot(domain)
-    from rsb_bridge.ros.simulation.simulated_desk import Desk, FleetListener  # noqa: PLC0415
+    from rsb_extras.demo.simulated_desk import Desk, FleetListener  # noqa: PLC0415
 
     return Desk(domain) if name == "desk" else FleetListener(domain, topics)
 

@@ -7,9 +7,9 @@ import math
 import pytest
 from geometry_msgs.msg import Twist
 
-from rsb_bridge.ros.simulation.path_planning import plan
-from rsb_bridge.ros.simulation.robot_motion import RESTS, Motion
-from rsb_bridge.ros.simulation.rooms import ROOMS, TOUR, Waypoint, is_free
+from rsb_extras.demo.path_planning import plan
+from rsb_extras.demo.robot_motion import RESTS, Motion
+from rsb_extras.demo.rooms import ROOMS, TOUR, Waypoint, is_free
 
 STEP = 0.05
 KITCHEN, OFFICE = Waypoint(-1.0, 3.0, 1.0), Waypoint(4.0, 2.5, 0.0)

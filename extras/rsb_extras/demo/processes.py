@@ -131,7 +131,7 @@ class Process:
 
 def router(endpoint: str) -> Process:
     """Start a Zenoh router, and return it once it listens."""
-    process = Process("-m", "rsb_console.simulated.router", endpoint)
+    process = Process("-m", "rsb_extras.demo.router", endpoint)
     if not process.line():
         raise ProcessError("the Zenoh router does not start: pip install 'rsb-console[zenoh]'")
     return process

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from rsb_bridge.ros.simulation.room_camera import EYE, FIELD, room_picture
-from rsb_bridge.ros.simulation.rooms import (
+from rsb_extras.demo.room_camera import EYE, FIELD, room_picture
+from rsb_extras.demo.rooms import (
     CEILING,
     FREE,
     OCCUPIED,
@@ -27,7 +27,7 @@ from rsb_bridge.ros.simulation.rooms import (
     measured_ranges,
     occupancy,
 )
-from rsb_bridge.ros.simulation.textures import furniture
+from rsb_extras.demo.textures import furniture
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

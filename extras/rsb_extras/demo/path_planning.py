@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from rsb_bridge.ros.simulation.rooms import RADIUS, RESOLUTION, SIDE, TOUR, clearance
+from rsb_extras.demo.rooms import RADIUS, RESOLUTION, SIDE, TOUR, clearance
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from rsb_bridge.ros.simulation.rooms import Floats
+    from rsb_extras.demo.rooms import Floats
 
 _Cell: TypeAlias = "tuple[int, int]"
 _STRIDE = 2

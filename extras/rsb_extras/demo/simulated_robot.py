@@ -19,10 +19,10 @@ from sensor_msgs.msg import BatteryState, Image, Imu, JointState, LaserScan
 from std_srvs.srv import SetBool
 
 from rsb_bridge.ros.ros_interface import RosError
-from rsb_bridge.ros.simulation.robot_frames import Frame, FrameBroadcaster
-from rsb_bridge.ros.simulation.robot_motion import SPEED, TOP_SPEED, Motion
-from rsb_bridge.ros.simulation.room_camera import EYE, room_picture
-from rsb_bridge.ros.simulation.rooms import (
+from rsb_extras.demo.robot_frames import Frame, FrameBroadcaster
+from rsb_extras.demo.robot_motion import SPEED, TOP_SPEED, Motion
+from rsb_extras.demo.room_camera import EYE, room_picture
+from rsb_extras.demo.rooms import (
     LASER_HEIGHT,
     RADIUS,
     RESOLUTION,
@@ -34,8 +34,8 @@ from rsb_bridge.ros.simulation.rooms import (
     measured_ranges,
     occupancy,
 )
-from rsb_bridge.ros.simulation.simulated_node import LATCHED, SimulatedNode
-from rsb_bridge.ros.simulation.textures import surfaces
+from rsb_extras.demo.simulated_node import LATCHED, SimulatedNode
+from rsb_extras.demo.textures import surfaces
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

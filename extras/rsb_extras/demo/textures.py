@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from rsb_bridge.ros.simulation.rooms import BOTTOM, FURNITURE, LEFT, RIGHT, ROOMS, TOP, WALLS
+from rsb_extras.demo.rooms import BOTTOM, FURNITURE, LEFT, RIGHT, ROOMS, TOP, WALLS
 
 if TYPE_CHECKING:
     from collections.abc import Callable

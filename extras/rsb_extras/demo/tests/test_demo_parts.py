@@ -19,8 +19,8 @@ from rsb_bridge.cdr.decoder import decode
 from rsb_bridge.cdr.description import read_description
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.ros_interface import TopicSpec
-from rsb_bridge.ros.simulation.rooms import TOUR, is_free
-from rsb_console.session.demo_session import SimulatedPart
+from rsb_extras.demo.demo_session import SimulatedPart
+from rsb_extras.demo.rooms import TOUR, is_free
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from rsb_bridge.ros.simulation.rooms import BOTTOM, CEILING, FURNITURE, LEFT, ROOMS, WALLS, Box, crossings, edges_of
-from rsb_bridge.ros.simulation.textures import (
+from rsb_extras.demo.rooms import BOTTOM, CEILING, FURNITURE, LEFT, ROOMS, WALLS, Box, crossings, edges_of
+from rsb_extras.demo.textures import (
     FLOOR_DEPTH,
     FLOOR_WIDTH,
     LAMPS,
@@ -27,7 +27,7 @@ from rsb_bridge.ros.simulation.textures import (
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from rsb_bridge.ros.simulation.rooms import Floats
+    from rsb_extras.demo.rooms import Floats
 
 EYE = 1.15
 """m: height of the camera."""

@@ -40,7 +40,7 @@ class Box(NamedTuple):
     Attributes:
         low: height of its lower side.
         high: height of its upper side.
-        look: name of what is on its sides (`rsb_bridge.ros.simulation.textures`).
+        look: name of what is on its sides (`rsb_extras.demo.textures`).
     """
 
     left: float

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rsb_bridge.ros.simulation.path_planning import STEP, plan
-from rsb_bridge.ros.simulation.rooms import DOCK, TOUR, Waypoint, is_free
+from rsb_extras.demo.path_planning import STEP, plan
+from rsb_extras.demo.rooms import DOCK, TOUR, Waypoint, is_free
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from geometry_msgs.msg import Twist
 
-    from rsb_bridge.ros.simulation.rooms import Floats
+    from rsb_extras.demo.rooms import Floats
 
 SPEED, TOP_SPEED = 0.5, 1.0  # m/s
 _TOP_TURN = 1.2  # rad/s

@@ -10,13 +10,23 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.engine import Engine
 from rsb_bridge.model.text import keep_output_clean
 from rsb_console.command.headless import Signals, bridge_until_told
-from rsb_console.command.shell import FAILURE, INTERRUPTED, OK, print_error, print_line
-from rsb_console.session.demo_session import running_demo
+from rsb_console.command.local_commands import can_draw
+from rsb_console.command.shell import FAILURE, INTERRUPTED, OK, USAGE, allow_many_descriptors, print_error, print_line
+from rsb_extras.demo.demo_session import running_demo
 
 if TYPE_CHECKING:
-    from rsb_console.session.demo_session import Demo
+    from argparse import Namespace
+
+    from rsb_extras.demo.demo_session import Demo
 
 HOW_TO_END = "Ctrl-C ends them all"
+
+
+def demo(arguments: Namespace) -> int:
+    allow_many_descriptors()
+    if not arguments.no_ui and not can_draw("rsb-console demo --no-ui"):
+        return USAGE
+    return run_demo(ui=not arguments.no_ui, seconds=arguments.seconds)
 
 
 def run_demo(*, ui: bool, seconds: float | None) -> int:

@@ -73,7 +73,7 @@ class SimulatedPart:
     def start(cls, part: str, domain: int, folder: Path, *topics: str) -> SimulatedPart:
         with (folder / f"{part}.log").open("w") as log:  # Fast DDS writes to standard error
             process = ChildProcess(
-                "rsb_bridge.ros.simulation",
+                "rsb_extras.demo.simulated_part",
                 part,
                 str(domain),
                 *topics,

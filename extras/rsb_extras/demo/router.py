@@ -1,4 +1,4 @@
-"""A Zenoh router for benchmarks and the demo: ``python -m rsb_console.simulated.router ENDPOINT``.
+"""A Zenoh router for benchmarks and the demo: ``python -m rsb_extras.demo.router ENDPOINT``.
 
 It says "{}" once it listens, and ends when its standard input does.
 """
