@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING
 
 from bench import installed_bridges, zenoh_bridge
 
-from rsb_console.session.demo_session import free_port
-from rsb_console.simulated.processes import Process
 from rsb_extras.bench import loopback
 from rsb_extras.bench.loopback import TOPIC, Bed, ready
+from rsb_extras.demo.demo_session import free_port
+from rsb_extras.demo.processes import Process
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from bench.figures import Figures
 
-    from rsb_console.simulated.processes import Process
+    from rsb_extras.demo.processes import Process
 
 QUIET = 20.0
 _KINDS = ("direct", "proxy", "bare-tcp", "tcp")

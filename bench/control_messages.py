@@ -22,7 +22,7 @@ from tests.support.rogue import Rogue
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.engine import Engine
 from rsb_bridge.model.session import Client, Session
-from rsb_bridge.ros.stand_in import NoRos
+from rsb_bridge.ros.no_ros import NoRos
 from rsb_bridge.wire.framing import CONTROL_LIMIT
 from rsb_extras.bench import LIMITS, BenchmarkLimits
 from rsb_extras.bench.benchmark import BENCH

@@ -24,11 +24,11 @@ from bench import bed
 
 from rsb_bridge.config import session_file
 from rsb_bridge.control.remote_engine import attach
-from rsb_bridge.ros.stand_in import Talk
 from rsb_console.command.shell import allow_many_descriptors
-from rsb_console.simulated import processes
-from rsb_console.simulated.processes import ProcessError
 from rsb_extras.bench import loopback
+from rsb_extras.demo import processes
+from rsb_extras.demo.processes import ProcessError
+from rsb_extras.demo.stand_in import Talk
 from rsb_extras.fleet.robots import RobotTraffic
 from rsb_extras.fleet.simulated_fleet import USUAL, WAYS, SimulatedFleet, fleet, listening
 from rsb_extras.zenoh import ZENOH
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from rsb_bridge.model.snapshot import Snapshot
-    from rsb_console.simulated.processes import Process
+    from rsb_extras.demo.processes import Process
 
 DOMAIN = 96
 _WITHIN = 120.0

@@ -18,15 +18,15 @@ from typing import TYPE_CHECKING
 from bench.console import Watched
 
 from rsb_bridge.cdr.known_types import BATTERY_STATE
-from rsb_bridge.ros.stand_in import Talk
 from rsb_console.command.shell import allow_many_descriptors
+from rsb_extras.demo.stand_in import Talk
 from rsb_extras.fleet.robots import RobotTraffic
 from rsb_extras.fleet.simulated_fleet import SimulatedFleet, fleet, listening
 from rsb_extras.operators.fleet_file import load_fleet
 from rsb_extras.operators.zenoh_source import ZenohFleet
 
 if TYPE_CHECKING:
-    from rsb_console.simulated.processes import Process
+    from rsb_extras.demo.processes import Process
 
 DOMAIN = 98
 LOAD = RobotTraffic((Talk("/pose", 1.0, 200), Talk("/battery_state", 0.2, 0, BATTERY_STATE)), ())

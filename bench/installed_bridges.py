@@ -20,9 +20,9 @@ from bench.relay import node_in
 from rclpy.qos import QoSProfile
 from std_msgs.msg import String
 
-from rsb_console.session.demo_session import free_port
-from rsb_console.simulated.processes import Process, listening
 from rsb_extras.bench.measured_stream import DEPTH
+from rsb_extras.demo.demo_session import free_port
+from rsb_extras.demo.processes import Process, listening
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

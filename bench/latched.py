@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING, Any
 from bench.bed import FAR, NEAR, Process
 
 from rsb_bridge.control.remote_engine import attach
-from rsb_console.simulated.processes import listening
 from rsb_extras.bench.loopback import headless, write_sessions
+from rsb_extras.demo.processes import listening
 
 if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import Ledger

@@ -104,8 +104,8 @@ class Side:
         session = f"name: desk\nrole: client\ndomain_id: {near}\n{common}topics:\n{_TOPICS}"
         (self._folder / "desk.yaml").write_text(session)
         robot, *_ = (
-            self._run("rsb_bridge.ros.simulation", "robot", str(far)),
-            self._run("rsb_bridge.ros.simulation", "desk", str(near)),
+            self._run("rsb_extras.demo.simulated_part", "robot", str(far)),
+            self._run("rsb_extras.demo.simulated_part", "desk", str(near)),
             self._run("rsb_console", "run", "--no-ui", str(self._folder / "robot.yaml")),
             self._run("rsb_console", "run", "--no-ui", str(self._folder / "desk.yaml")),
         )

@@ -29,7 +29,7 @@ from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.ros.node import RosNode
 from rsb_bridge.ros.ros_interface import TopicSpec
-from rsb_bridge.ros.stand_in import StandIn, Talk
+from rsb_extras.demo.stand_in import StandIn, Talk
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

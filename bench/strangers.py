@@ -27,16 +27,16 @@ from bench import bed
 from rsb_bridge.wire.connection import ClientConnection
 from rsb_bridge.wire.messages import Hello
 from rsb_bridge.wire.sealing import CipherSuite
-from rsb_console.simulated import processes
 from rsb_extras.bench import loopback
 from rsb_extras.bench.results import BenchError
+from rsb_extras.demo import processes
 from rsb_extras.zenoh.endpoint import ROOT
 from rsb_extras.zenoh.outbox import Header, SampleKind
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
-    from rsb_console.simulated.processes import Process
+    from rsb_extras.demo.processes import Process
 
 FLAT = 10.0
 """MB by which the memory may grow. At most 6 were measured (bench/README.md, Attacks)."""

@@ -19,8 +19,8 @@ from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from rsb_console.session.demo_session import free_port
-from rsb_console.simulated.processes import Process, listening
+from rsb_extras.demo.demo_session import free_port
+from rsb_extras.demo.processes import Process, listening
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

@@ -21,9 +21,9 @@ from typing import TYPE_CHECKING, Any
 from docs.screenshots import FLOWING, Album, states, until
 
 from rsb_console.app import ConsoleApp
-from rsb_console.session.demo_session import running_demo
 from rsb_console.terminal.driver import terminal_to_itself
 from rsb_console.terminal_app import output_path
+from rsb_extras.demo.demo_session import running_demo
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Iterator, Sequence

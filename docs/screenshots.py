@@ -23,7 +23,7 @@ from rsb_bridge.model.snapshot import State
 from rsb_bridge.route import lease
 from rsb_console.app import ConsoleApp
 from rsb_console.notation.glyphs import STATE_SIGN
-from rsb_console.session.demo_session import running_demo
+from rsb_extras.demo.demo_session import running_demo
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine

@@ -30,13 +30,13 @@ BRINGS: Mapping[str, str] = {
 BRINGS_TRANSPORTS: Mapping[str, str] = {"zenoh": "zenoh", "zenoh-drop": "zenoh"}
 """The same of transports."""
 BRINGS_COMMANDS: Mapping[str, str] = {
-    "audit": "audit", "bench": "bench", "doctor": "doctor", "fleet": "fleet", "look": "pictures",
-    "pub": "driving", "record": "recording", "report": "history",
+    "audit": "audit", "bench": "bench", "demo": "demo", "doctor": "doctor", "fleet": "fleet", "import": "imports",
+    "look": "pictures", "pub": "driving", "record": "recording", "report": "history", "service": "service",
 }  # fmt: skip
 """The same of subcommands."""
 BRINGS_ACTIONS: Mapping[str, str] = {
-    "drive": "driving", "history": "history", "look": "pictures", "publish": "driving",
-    "record": "recording",
+    "demo": "demo", "drive": "driving", "history": "history", "import_session": "imports", "look": "pictures",
+    "publish": "driving", "record": "recording",
     **dict.fromkeys(("dismiss", "edit_marked", "mark", "open_robot"), "fleet"),
 }  # fmt: skip
 """The same of actions of the console, by their ids in ``keys.yaml``."""
@@ -217,6 +217,14 @@ class Feature:
 
     def problems(self, session: Any) -> Iterable[tuple[str, str]]:
         """Return mistakes of a `rsb_bridge.model.session.Session`, each as its key and its text with the remedy."""
+        return ()
+
+    def other_file(self, data: Any, path: Path) -> Iterable[str]:
+        """Return what to do with a file that is no session but another program's, if this feature knows it.
+
+        Args:
+            data: of a YAML file as plain data, of any shape.
+        """
         return ()
 
     def advice(self, session: Any, file: Path | None) -> Iterable[tuple[str, str]]:

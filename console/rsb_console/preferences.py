@@ -30,7 +30,7 @@ from rsb_console.notation.topic_column import ADDED, SHOWN_BY_CORE
 from rsb_console.terminal.terminal_facts import TerminalSettings
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
 
     from rsb_console.actions.action import Action
 
@@ -158,7 +158,7 @@ def _check_color(key: str, value: Any) -> None:
         raise PreferenceError(ThemeProblem.NO_COLOR(key=key, value=value)) from None
 
 
-def default_theme(environ: dict[str, str] | os._Environ[str] = os.environ) -> str:
+def default_theme(environ: Mapping[str, str] = os.environ) -> str:
     """Return the name of the theme that suits this terminal: of sixteen colours if the terminal announces no more."""
     many = environ.get("COLORTERM") in {"truecolor", "24bit"} or "256color" in environ.get("TERM", "")
     return DEFAULT_THEME if many else SIXTEEN_COLORS

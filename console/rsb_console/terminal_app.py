@@ -15,11 +15,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from platformdirs import user_log_path
-from rich.color import ColorSystem
 from rich.console import COLOR_SYSTEMS
 from textual import events, work
-from textual._compositor import ChopsUpdate, LayoutUpdate
-from textual.app import App, ReturnType
+from textual.app import ReturnType
 from textual.screen import Screen, SystemModalScreen
 from textual.signal import Signal
 
@@ -28,6 +26,8 @@ from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import several_lines
 from rsb_console.actions.action import Action, Group
 from rsb_console.actions.all_actions import ACTIONS, bindings
+from rsb_console.library_internals.rich_internals import colours_of, use_colours
+from rsb_console.library_internals.textual_internals import ChopsUpdate, LayoutUpdate, OpenApp, style_scope
 from rsb_console.notation.formats import AGE_STEP
 from rsb_console.notation.glyphs import STATE_SIGN, AsciiFilter, ControlFilter
 from rsb_console.preferences import (
@@ -81,7 +81,7 @@ _SIGNALS = {
 }
 
 
-class TerminalApp(App[ReturnType]):
+class TerminalApp(OpenApp[ReturnType]):
     """Fulfils `rsb_console.console_api.ConsoleShell`.
 
     Args:
@@ -165,8 +165,8 @@ class TerminalApp(App[ReturnType]):
             self.register_theme(theme)
         self.theme = self.preferences.theme
         self.set_keymap(self.preferences.keymap)
-        if isinstance(self._driver, ConsoleDriver):
-            self.input_gate.pulse = self._driver.pulse
+        if isinstance(self.driver_now, ConsoleDriver):
+            self.input_gate.pulse = self.driver_now.pulse
             self.set_interval(ASKED_EVERY, self._look_at_terminal)
             self.set_timer(_PREPARES_AFTER, self._prepare)
 
@@ -182,16 +182,16 @@ class TerminalApp(App[ReturnType]):
         for kind in kinds:
             kinds += kind.__subclasses__()
             if vars(kind).get("CSS"):
-                place, scope = (inspect.getfile(kind), f"{kind.__name__}.CSS"), kind._css_type_name
+                place, scope = (inspect.getfile(kind), f"{kind.__name__}.CSS"), style_scope(kind)
                 self.stylesheet.add_source(kind.CSS, read_from=place, scope=scope if kind.SCOPED_CSS else "")
         self.stylesheet.update(self)
 
     def _look_at_terminal(self) -> None:
-        if isinstance(self._driver, ConsoleDriver):
-            self._driver.look_for_answers()
+        if isinstance(self.driver_now, ConsoleDriver):
+            self.driver_now.look_for_answers()
             is_guarding = any(map(is_guarded, self.screen_stack))
-            if (self.needs_young_keys or is_guarding) and self._driver.pulse.is_due(at_rest=not is_guarding):
-                self._driver.ask()
+            if (self.needs_young_keys or is_guarding) and self.driver_now.pulse.is_due(at_rest=not is_guarding):
+                self.driver_now.ask()
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
         """Disable the actions that change something while read-only."""
@@ -212,18 +212,18 @@ class TerminalApp(App[ReturnType]):
         if event.is_forwarded or not self.screen_stack or not self.input_gate.refuses(event, self.screen):
             await super().on_event(event)
 
-    def _display(self, screen: Screen[Any], renderable: RenderableType | None) -> None:
-        if not isinstance(renderable, ChopsUpdate | LayoutUpdate) or not isinstance(self._driver, ConsoleDriver):
-            super()._display(screen, renderable)
+    def write_drawn(self, screen: Screen[Any], renderable: RenderableType | None) -> None:
+        if not isinstance(renderable, ChopsUpdate | LayoutUpdate) or not isinstance(self.driver_now, ConsoleDriver):
+            super().write_drawn(screen, renderable)
             if isinstance(renderable, ChopsUpdate):
                 self.text_drawn.publish(renderable.spans)
             elif isinstance(renderable, LayoutUpdate):
                 region = renderable.region
                 self.text_drawn.publish([(y, region.x, region.right) for y in region.line_range])
-        elif self._running and not self._closed and not self._batch_count:
+        elif self.draws:
             if isinstance(self.writer, NoTerminal):
                 self.writer = self.input_gate.sight = ScreenWriter(
-                    self, self._driver, self._colour_system, self.pictures, self.text_drawn.publish
+                    self, self.driver_now, colours_of(self.console), self.pictures, self.text_drawn.publish
                 )
             self.writer.draw(renderable)
 
@@ -232,12 +232,12 @@ class TerminalApp(App[ReturnType]):
     @property
     def losses(self) -> int:
         """Number of times that the terminal was cleared."""
-        return self._driver.losses if isinstance(self._driver, ConsoleDriver) else 0
+        return self.driver_now.losses if isinstance(self.driver_now, ConsoleDriver) else 0
 
     def write_to_terminal(self, sequence: str) -> None:
         """Write what Textual does not know of, such as an image. It has to leave cursor and colours as they were."""
-        if sequence and isinstance(self._driver, ConsoleDriver):
-            self._driver.write(sequence)
+        if sequence and isinstance(self.driver_now, ConsoleDriver):
+            self.driver_now.write(sequence)
 
     # --- what screens ask
 
@@ -261,15 +261,15 @@ class TerminalApp(App[ReturnType]):
         """Show in the terminal's title what the app is about, and how many faults it has."""
         sign = "x" if self.ascii_only else STATE_SIGN[State.DOWN]
         title = " ".join(filter(None, (name or self.TITLE, f"{sign}{faults}" if faults else "")))
-        if isinstance(self._driver, ConsoleDriver):
-            self._driver.entitle("".join(filter(str.isprintable, title)))
+        if isinstance(self.driver_now, ConsoleDriver):
+            self.driver_now.entitle("".join(filter(str.isprintable, title)))
 
     @work
     async def tell_desktop(self, title: str, text: str) -> None:
         """Show a notification on the operator's desktop by way of the terminal, if it supports that."""
         made = await asyncio.to_thread(desktop_notification.sequence, os.environ, self.facts.name, title, text)
-        if made and isinstance(self._driver, ConsoleDriver):
-            self._driver.write(made)
+        if made and isinstance(self.driver_now, ConsoleDriver):
+            self.driver_now.write(made)
 
     async def ask(self, dialog: Screen[T]) -> T | None:
         self.input_queue.waits_for(dialog)
@@ -321,7 +321,7 @@ class TerminalApp(App[ReturnType]):
         """Ctrl+C: Textual would only explain it; to an operator it means quit."""
         await self.run_action("app.quit")
 
-    action_palette = App.action_command_palette
+    action_palette = OpenApp.action_command_palette
 
     def suit_terminal(self, facts: TerminalFacts) -> None:
         """Draw with the colours that the terminal has, in a theme for them."""
@@ -344,12 +344,8 @@ class TerminalApp(App[ReturnType]):
     def _use_colours(self) -> None:
         """Have Textual write the colours that the terminal has: rich finds them out by TERM, and once."""
         if self.console.color_system is not None and self.facts.colours:
-            vars(self.console)["_color_system"] = COLOR_SYSTEMS[self.facts.colour_system]  # no public way is there
-            self.writer.use_colours(self._colour_system)
-
-    @property
-    def _colour_system(self) -> ColorSystem:
-        return self.console._color_system or ColorSystem.TRUECOLOR
+            use_colours(self.console, COLOR_SYSTEMS[self.facts.colour_system])
+            self.writer.use_colours(colours_of(self.console))
 
     def action_theme(self) -> None:
         names = sorted(self.available_themes)
@@ -360,9 +356,9 @@ class TerminalApp(App[ReturnType]):
 
     def action_mouse(self) -> None:
         """Leave the mouse to the terminal, or take it back."""
-        if isinstance(self._driver, ConsoleDriver):
-            self._driver.mouse = not self._driver.mouse
-            self.notify(f"the mouse is the {'console' if self._driver.mouse else 'terminal'}'s", timeout=3)
+        if isinstance(self.driver_now, ConsoleDriver):
+            self.driver_now.mouse = not self.driver_now.mouse
+            self.notify(f"the mouse is the {'console' if self.driver_now.mouse else 'terminal'}'s", timeout=3)
 
     # --- end
 
@@ -403,10 +399,9 @@ class TerminalApp(App[ReturnType]):
         """Shut down because the terminal has hung up; called by the driver's thread."""
         self.shut_down_soon(ShutdownReason.HANGUP)
 
-    def _fatal_error(self) -> None:
-        """Handle an unexpected error: Textual would print it with all local variables, which help no operator."""
+    def failed(self) -> None:
         self.crashed()
-        self._close_messages_no_wait()
+        super().failed()
 
     def crashed(self) -> None:
         """Write the exception that is being handled to `crash_path`, if that is possible, for a report."""

@@ -21,7 +21,7 @@ OF_OTHERS = {
 """Words of other programs, which have no codes, by the module that looks for them."""
 OF_FILES = {
     "extras/rsb_extras/fleet/simulated_fleet.py": ("listening on",),
-    "console/rsb_console/command/service.py": ("# Written by",),
+    "extras/rsb_extras/service/systemd_service.py": ("# Written by",),
     "console/rsb_console/command/call_command.py": ("# goal_id: ",),
 }
 """Words of this program that come back from a file or a terminal."""

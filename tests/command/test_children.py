@@ -5,14 +5,11 @@ from __future__ import annotations
 import ast
 import re
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
-from tests.support import constants
 
 from rsb_console.child import ChildProcess
-from rsb_console.command.service import _program
 
 ROOT = Path(__file__).parents[2]
 SOURCES = [
@@ -107,9 +104,3 @@ def test_module_in_child_runs_nothing_of_its_folder(planted: Path) -> None:
     with ChildProcess("rsb_console", "--version", stdout=subprocess.PIPE) as child:
         assert child.communicate(timeout=180)[0].startswith("rsb-console ")
     assert not planted.exists()
-
-
-def test_a_service_runs_nothing_of_its_folder(monkeypatch: pytest.MonkeyPatch) -> None:
-    """systemd's working folder of a user's service is the user's home."""
-    constants.PROGRAM_ARGUMENTS.set(monkeypatch, ["/nowhere/pytest"])
-    assert _program() == (sys.executable, "-P", "-m", "rsb_console")

@@ -24,7 +24,6 @@ from rsb_bridge.config.advice import Advice
 from rsb_bridge.config.decoding import Hint, ValueMistake
 from rsb_bridge.config.files import FileRefused
 from rsb_bridge.config.keys import KeyFileProblem, KeyWarning, write_key
-from rsb_bridge.config.session_file import SavingProblem, load
 from rsb_bridge.config.validation import SessionMistake
 from rsb_bridge.config.yaml_text import YamlMistake
 from rsb_bridge.model.transports import Protocol
@@ -35,7 +34,7 @@ from rsb_console.command.local_commands import LocalText
 from rsb_console.command.shell import CommandText
 
 COMMAND = str(Path(sys.executable).with_name("rsb-console"))
-MOST_MODULES = 224
+MOST_MODULES = 230
 """Half of what the console takes; Python itself takes a third.
 
 Of the standard library only what has a public name counts: what is below that differs from Python to Python.
@@ -65,17 +64,6 @@ server_ip: 127.8.0.1
 server_port: 7060
 key_file: robot1.key
 topics: [{topic: /scan, direction: transmit}]
-"""
-BRINGUP = """\
-client_node:
-  ros__parameters:
-    server_ip: '127.0.0.1'
-    server_port: 3000
-    receive_topics: ['topic']
-    receive_msg_types: ['String']
-    receive_ports: [12001]
-    receive_protocols: ['TCP']
-    receive_qos: ['10']
 """
 
 pytestmark = pytest.mark.usefixtures("folder")
@@ -354,49 +342,6 @@ def test_check_as_json_places_mistakes(ran: Callable[..., Ran], tmp_path: Path) 
     assert [(each["line"], each["key"]) for each in found.json["mistakes"]] == [(4, "server_port")]
 
 
-def test_import_writes_a_session_that_loads() -> None:
-    Path("bringup.yaml").write_text(BRINGUP)
-    Path("sessions").mkdir()
-    rsb_console("keygen")
-    arguments = ("import", "bringup.yaml", "--name", "robot1", "--key-file", "key.txt", "-o", "sessions/new.yaml")
-    run = rsb_console(*arguments)
-    assert (run.returncode, run.stderr) == (0, "")
-    assert says(run.stdout, LocalText.IMPORTED, path="sessions/new.yaml")
-    session = load(Path("sessions/new.yaml"))
-    assert session.key_file == "../key.txt"
-    assert [topic.topic for topic in session.topics] == ["/topic"]
-    assert "warning" not in rsb_console("check", "sessions/new.yaml").stdout
-    assert rsb_console(*arguments).returncode == 1
-    assert rsb_console(*arguments, "--force", "--role", "server").returncode == 0
-    assert load(Path("sessions/new.yaml")).role == "server"
-
-
-def test_import_to_standard_output_and_its_mistakes() -> None:
-    Path("bringup.yaml").write_text(BRINGUP)
-    run = rsb_console("import", "bringup.yaml", "--name", "robot1", "--no-encryption", "--port", "4000")
-    assert run.returncode == 0
-    assert "server_port: 4000" in run.stdout
-    refused = rsb_console("import", "bringup.yaml", "--name", "robot1")
-    assert refused.returncode == 2
-    assert "key_file: missing" in refused.stderr
-    assert says(refused.stderr, LocalText.KEY_OPTION, field="key_file", option="--key-file PATH, or --no-encryption")
-    assert "--port" not in refused.stderr
-    assert rsb_console("import", "bringup.yaml").returncode == 2
-    Path("bringup.yaml").write_text("server_node:\n  ros__parameters:\n    server_ip: '127.0.0.1'\n")
-    refused = rsb_console("import", "bringup.yaml", "--name", "robot1", "--no-encryption")
-    assert says(refused.stderr, LocalText.KEY_OPTION, field="server_port", option="--port N")
-
-
-@pytest.mark.parametrize("command", [("check",), ("run", "--no-ui")])
-def test_thesis_file_as_session_leads_to_import(command: tuple[str, ...]) -> None:
-    Path("bringup.yaml").write_text(BRINGUP)
-    run = rsb_console(*command, "bringup.yaml")
-    assert run.returncode == 2
-    assert run.stderr == (
-        f"rsb-console: bringup.yaml: {SavingProblem.FOREIGN(origin='ros2_socket_bridge', path='bringup.yaml')}\n"
-    )
-
-
 @pytest.mark.parametrize(
     "arguments", [(), ("--debug",), ("run",), ("robot1.yaml",), ("--readonly", "robot1.yaml"), ("demo",)]
 )
@@ -445,7 +390,6 @@ def test_bad_arguments_are_refused_in_words() -> None:
         (("chekc", "robot1.yaml"), CommandText.MISSPELT(word="chekc", command="check")),
         (("run", "--no-ui"), LocalText.SESSION_MISSING()),
         (("run", "--log-format", "xml", "robot1.yaml"), "invalid choice: 'xml'"),
-        (("demo", "--seconds", "0"), f"argument --seconds: {not_seconds(text='0', noun='number of seconds')}"),
         (
             ("run", "--status-every", "soon", "robot1.yaml"),
             f"--status-every: {not_seconds(text='soon', noun='number of seconds')}",
@@ -583,30 +527,3 @@ def test_more_interrupts_while_stopping_change_nothing() -> None:
     lines += [json.loads(line) for line in output.splitlines()]
     assert [line["text"] for line in lines if line["code"] == "engine.stopping"] == ["stopping: SIGINT"]
     assert all({"time", "level", "code", "text"} <= line.keys() and "number" not in line for line in lines)
-
-
-@pytest.mark.usefixtures("only_demo")
-def test_demo_bridges_and_leaves_one_topic_to_add() -> None:
-    """A Ctrl-C goes to the terminal's whole process group: the simulated robot writes no traceback for it."""
-    environment = os.environ | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-    with subprocess.Popen(
-        [COMMAND, "demo", "--no-ui", "--seconds", "600"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env=environment,
-        start_new_session=True,
-    ) as run:
-        assert run.stdout
-        seen = ""
-        while ": 1 disarmed, 9 ok |" not in seen:  # each topic flows, or is answered; /cmd_vel waits for an operator
-            line = run.stdout.readline()
-            assert line
-            seen += line
-        os.killpg(run.pid, signal.SIGINT)
-        output, errors = run.communicate(timeout=120)
-    assert (run.returncode, own_lines(errors)) == (0, [])
-    assert "refused" not in seen
-    assert "/goal_pose" in output
-    assert "NOTHING CAME" not in output
-    assert "/battery_state" not in seen + output

@@ -14,12 +14,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import msgspec
 import pytest
-from tests.command.test_command import BRINGUP
-from tests.config.test_imports import DOMAINS
 from tests.console.scripted import LINK, NOW, SESSION, ScriptedEngine, call_route, route, whole_answer
 from tests.support import constants, replaced, surroundings
 from tests.support.commands import parser_and_commands
 from tests.support.fleet import ServerEngine, topics
+from tests.support.foreign_files import BRINGUP, DOMAINS
 from tests.support.operators import ANNA
 from tests.support.running import Running
 
@@ -140,13 +139,14 @@ def test_it_is_taken(line: Line, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 _OF_BENCH = "../extras/rsb_extras/bench/tests/test_command.py"
+_OF_DEMO = "../extras/rsb_extras/demo/tests/test_demo.py"
 _OF_FLEET = "../extras/rsb_extras/fleet/tests/test_demo_fleet.py"
 _ELSEWHERE = {
     "bench": (_OF_BENCH, "test_ctrl_c_prints_results_and_leaves_no_process"),
     "bench --quick": (_OF_BENCH, "test_a_short_run_on_this_machine"),
     "bt-scan": ("bluetooth/guest/test_scan.py", "test_what_the_command_prints"),
     "demo": (_OF_FLEET, "test_no_process_outlives_a_demo_that_is_killed"),
-    "demo --no-ui --seconds 20": ("command/test_command.py", "test_demo_bridges_and_leaves_one_topic_to_add"),
+    "demo --no-ui --seconds 20": (_OF_DEMO, "test_demo_bridges_and_leaves_one_topic_to_add"),
     "demo --fleet": (
         _OF_FLEET, "test_screen_opens_leads_to_robot_and_back"
     ),
@@ -270,7 +270,10 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
     for name in ("XDG_STATE_HOME", "XDG_CONFIG_HOME"):
         monkeypatch.setenv(name, str(tmp_path / name))
-    constants.SYSTEM_UNITS.set(monkeypatch, tmp_path / "system")
+    if "service" not in MISSING:
+        from rsb_extras.service.tests.service_places import SYSTEM_UNITS
+
+        SYSTEM_UNITS.set(monkeypatch, tmp_path / "system")
     for name in ("robot1.key", "key.txt"):
         write_key(tmp_path / name)
     for name in ("robot1.yaml", "robot2.yaml"):

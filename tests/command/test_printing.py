@@ -37,11 +37,12 @@ PRINTS = {
     "terminal/driver.py": "the app's own terminal",
     "bench/bench_command.py": "one line of progress, cleaned",
     "bench/measured_stream.py": "a child's pipe",
+    "demo/router.py": "a child's pipe",
+    "demo/simulated_part.py": "a child's pipe",
     "fleet/robots.py": "a child's pipe",
     "pictures/confinement.py": "a trial's pipe",
     "pictures/look_command.py": "rows of pictures, cleaned by `decode_picture` and `clean`",
     "pictures/worker.py": "a child's pipe",
-    "simulated/router.py": "a child's pipe",
 }
 
 

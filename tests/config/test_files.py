@@ -28,10 +28,10 @@ PACKAGES = [
 ]
 WRITES_OTHERWISE = {
     "config/files.py": "what is not a file: a device or a pipe; `new_file`",
-    "session/demo_session.py": "logs in a temporary folder, mode 0700",
+    "demo/demo_session.py": "logs in a temporary folder, mode 0700",
     "bench/loopback.py": "sessions in a temporary folder, mode 0700",
     "bench/kept_messages.py": "messages in such a folder",
-    "simulated/processes.py": "a log in such a folder",
+    "demo/processes.py": "a log in such a folder",
     "fleet/simulated_fleet.py": "likewise",
     "recording/mcap_file.py": "a file of `new_file`",
     "recording/record_command.py": "the null device, or what `new_file` made",

@@ -12,7 +12,6 @@ from tests.support.systemd import exposure
 
 from rsb_bridge.config.session_file import load, parse
 from rsb_console.command.arguments import parser_and_commands
-from rsb_console.command.service import CONFINED, Service
 
 ROOT = CONFIGS.parent
 FEATURES = "extras/rsb_extras/"
@@ -67,12 +66,3 @@ def test_systemd_takes_the_unit(tmp_path: Path) -> None:
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed")
 def test_the_unit_leaves_little_to_an_intruder() -> None:
     assert exposure(UNIT) < 3
-
-
-def test_what_the_command_installs_is_confined_as_much() -> None:
-    lines = UNIT.read_text().splitlines()
-    made = Service(Path("/etc/rsb-console/robot1.yaml"), ("/bin/true",), system=True, user="ros").text().splitlines()
-    assert set(CONFINED) <= set(lines)
-    names = {line.partition("=")[0] for line in CONFINED} | {"LimitNOFILE", "NoNewPrivileges", "ProtectHome", "UMask"}
-    for each in (lines, made):
-        assert {line.partition("=")[0] for line in each} >= names

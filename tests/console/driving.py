@@ -21,7 +21,7 @@ from textual.pilot import Pilot
 from rsb_bridge.model.snapshot import RouteSnapshot
 from rsb_bridge.model.wording import Wording
 from rsb_console.app import ConsoleApp
-from rsb_console.terminal.input_queue import _is_idle
+from rsb_console.library_internals.textual_internals import is_idle
 from rsb_console.terminal_app import TerminalApp
 from rsb_console.widgets.form import Form, FormScreen
 
@@ -199,7 +199,7 @@ class Operator(Pilot[None]):
         def has_finished() -> bool:
             if ended(app) or not app.screen_stack:
                 return True
-            handles_none = not queue.delivers and all(map(_is_idle, (app, *app.screen.walk_children(with_self=True))))
+            handles_none = not queue.delivers and all(map(is_idle, (app, *app.screen.walk_children(with_self=True))))
             return handles_none and not app.message_queue_size
 
         await until(self, has_finished, "the console has finished with it")

@@ -15,7 +15,6 @@ from tests.console.driving import (
     engine_as,
     engine_of,
     gone,
-    is_shown,
     notices,
     on_main,
     put,
@@ -427,15 +426,3 @@ async def test_a_refused_command_is_said_in_words(app: ConsoleApp, pilot: Pilot[
     engine_of(app).answering = lambda command: refused("route gone") if isinstance(command, PauseTopics) else None
     await pilot.press("p")
     await shown(pilot, "route gone")
-
-
-@pytest.mark.parametrize("temporary", [False, True])
-@on_main(given=("temporary",))
-async def test_a_running_demo_is_not_replaced_by_itself(app: ConsoleApp, pilot: Pilot[None], temporary: bool) -> None:
-    await pilot.press("f4")
-    await until(pilot, lambda: isinstance(app.screen, ConfirmScreen), "the question")
-    assert isinstance(app.screen, ConfirmScreen)
-    assert is_shown(app, "instead") is not temporary
-    assert is_shown(app, "Start again" if temporary else "Run")
-    await pilot.press("n")
-    assert app.engine is not None

@@ -9,7 +9,7 @@ from tests.support import replaced
 from textual.events import Resize
 from textual.geometry import Size
 
-from rsb_console.terminal.input_queue import _is_idle
+from rsb_console.library_internals.textual_internals import is_idle
 
 if TYPE_CHECKING:
     import pytest
@@ -34,7 +34,7 @@ def test_sizes_in_flight_do_not_alternate_for_ever(monkeypatch: pytest.MonkeyPat
         for size in (OLD, NOW):
             app.screen.post_message(Resize(size, size))
             app.screen.call_later(lambda: None)  # else the second one replaces the first
-        await until(pilot, lambda: len(taken) > 9 or (NOW in taken and _is_idle(app.screen)), "the size")
+        await until(pilot, lambda: len(taken) > 9 or (NOW in taken and is_idle(app.screen)), "the size")
         assert set(taken) == {NOW}
         assert app.screen.size == NOW
 

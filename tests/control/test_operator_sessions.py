@@ -17,7 +17,7 @@ from rsb_bridge.config.session_file import load, save
 from rsb_bridge.engine import Engine
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Client, Operator, Session, session_keys
-from rsb_bridge.ros.stand_in import NoRos
+from rsb_bridge.ros.no_ros import NoRos
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -16,8 +16,8 @@ from rsb_bridge.config.keys import write_key
 from rsb_bridge.engine import Engine
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Client, Session, Topic
+from rsb_bridge.ros.no_ros import NoRos
 from rsb_bridge.ros.ros_interface import Endpoint, RawMessage, TopicSpec
-from rsb_bridge.ros.stand_in import NoRos
 
 _TYPE, _HASH, _GID = "std_msgs/msg/String", "RIHS01_" + "1" * 64, b"talker".ljust(16, b"\0")
 _TOPICS = [f"/churn{number}" for number in range(4)]

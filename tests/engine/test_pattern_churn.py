@@ -17,8 +17,8 @@ from rsb_bridge.config.keys import write_key
 from rsb_bridge.engine import Engine
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Client, Session, Topic
+from rsb_bridge.ros.no_ros import NoRos
 from rsb_bridge.ros.ros_interface import Endpoint, RawMessage, TopicSpec
-from rsb_bridge.ros.stand_in import NoRos
 
 if TYPE_CHECKING:
     from collections.abc import Callable

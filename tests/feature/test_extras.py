@@ -20,8 +20,8 @@ WITHOUT = "import importlib.metadata\nimportlib.metadata.entry_points = lambda *
 
 
 def imported_features(folder: Path) -> set[str]:
-    """Return the features whose modules a folder's code imports; its tests may use any."""
-    trees = (ast.parse(path.read_text()) for path in folder.rglob("*.py") if "tests" not in path.parts)
+    """Return the features whose modules a folder's code imports; its tests and its pages' pictures may use any."""
+    trees = (ast.parse(path.read_text()) for path in folder.rglob("*.py") if {"tests", "docs"}.isdisjoint(path.parts))
     nodes = (node for tree in trees for node in ast.walk(tree))
     names = (node.module or "" for node in nodes if isinstance(node, ast.ImportFrom))
     return {name.split(".")[1] for name in names if name.startswith("rsb_extras.")}

@@ -13,7 +13,7 @@ from tests.link.test_route_table import hear_all, pair_of
 from rsb_bridge.engine.topic_commands import ArmingCommands
 from rsb_bridge.model.commands import ArmTopic
 from rsb_bridge.model.session import Topic
-from rsb_bridge.ros.stand_in import NoRos
+from rsb_bridge.ros.no_ros import NoRos
 from rsb_bridge.route.arming import ArmingPhase
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from tests.support.wording import pattern
 
 from rsb_bridge.link.extension import Denied, LinkError
 from rsb_bridge.link.questions import QUESTIONS_KEPT, Questions, TopicLists
-from rsb_bridge.ros.stand_in import NoRos
+from rsb_bridge.ros.no_ros import NoRos
 from rsb_bridge.wire.codec import pack_topics
 from rsb_bridge.wire.messages import AskType, ListTopics, TopicList, TypeText
 

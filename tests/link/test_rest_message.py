@@ -18,8 +18,8 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.reason import EndCode, Reason
 from rsb_bridge.model.session import ArmedName, Topic
+from rsb_bridge.ros.no_ros import NoRos
 from rsb_bridge.ros.ros_interface import RosError, TopicSpec
-from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.route.arming import CONSOLE_SILENT_AFTER, ArmingPhase, Disarmed
 from rsb_bridge.route.lease import LASTS
 from rsb_bridge.route.receiver import Receiver

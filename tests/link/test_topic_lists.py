@@ -13,9 +13,9 @@ from tests.support.slices import take
 
 from rsb_bridge.link.questions import TopicLists
 from rsb_bridge.model.qos import Qos
+from rsb_bridge.ros.no_ros import NoRos
 from rsb_bridge.ros.ros_graph import MOST_ENTRIES
 from rsb_bridge.ros.ros_interface import Endpoint
-from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.wire.codec import decode, encode, pack_topics, topic_entries
 from rsb_bridge.wire.framing import CONTROL_LIMIT
 from rsb_bridge.wire.messages import ListTopics, TopicList

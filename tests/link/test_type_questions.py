@@ -27,8 +27,8 @@ from rsb_bridge.cdr.description import (
 from rsb_bridge.cdr.description import text_of as text_of_description
 from rsb_bridge.link.extension import Denied, LinkError
 from rsb_bridge.link.questions import TypeQuestions, description_in
+from rsb_bridge.ros.no_ros import NoRos
 from rsb_bridge.ros.ros_interface import RosError
-from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.ros.type_descriptions import TypeDescriptions
 from rsb_bridge.wire.messages import AskType, TypeText
 

@@ -16,8 +16,8 @@ from rsb_bridge.cdr.known_types import serialize_string, string_bytes
 from rsb_bridge.model.names import ANNOUNCEMENT_TOPIC, MOST_BRIDGES
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.announcements import LONGEST, Announcements, Origin
+from rsb_bridge.ros.no_ros import NoRos
 from rsb_bridge.ros.ros_interface import Endpoint, RawMessage, RosError
-from rsb_bridge.ros.stand_in import NoRos
 
 if TYPE_CHECKING:
     from collections.abc import Hashable

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 from rsb_bridge.model.calls import LANES
 from rsb_bridge.model.qos import Qos
+from rsb_bridge.ros.no_ros import NoRos
 from rsb_bridge.ros.ros_graph import MOST_ENTRIES, called_in
 from rsb_bridge.ros.ros_interface import Endpoint
-from rsb_bridge.ros.stand_in import NoRos
 
 if TYPE_CHECKING:
     from rsb_bridge.model.session import Kind

@@ -10,9 +10,9 @@ from tests.support.virtual_time import virtual_loop
 
 from rsb_bridge.model.calls import LANES
 from rsb_bridge.model.qos import Qos
+from rsb_bridge.ros.no_ros import NoRos
 from rsb_bridge.ros.ros_graph import Asked, NameSuggester, Searches, SimilarTopics, Sought
 from rsb_bridge.ros.ros_interface import Endpoint, RosError
-from rsb_bridge.ros.stand_in import NoRos
 
 if TYPE_CHECKING:
     from rsb_bridge.model.session import Kind

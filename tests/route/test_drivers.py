@@ -17,8 +17,8 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Driver, Level, State
 from rsb_bridge.model.verdict import Cause, Verdict, worse
 from rsb_bridge.ros.announcements import BY_HAND, Origin
+from rsb_bridge.ros.no_ros import NoRos
 from rsb_bridge.ros.ros_interface import Endpoint, RawMessage
-from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.route.combined_verdict import Announcer
 from rsb_bridge.route.crossing import Crossing
 from rsb_bridge.route.receiver import Receiver

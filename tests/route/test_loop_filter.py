@@ -16,8 +16,8 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.announcements import Origin
+from rsb_bridge.ros.no_ros import NoRos
 from rsb_bridge.ros.ros_interface import Endpoint, RawMessage
-from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.route.loop_filter import Publication, SourceTable
 from rsb_bridge.route.sender import Sender
 from rsb_bridge.wire.framing import SOURCE_SHIFT, Message

@@ -17,8 +17,8 @@ from rsb_bridge.cdr.description import FieldType, MessageField, MessageType, Typ
 from rsb_bridge.model.budgets import TokenBucket
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Session
+from rsb_bridge.ros.no_ros import NoRos
 from rsb_bridge.ros.ros_interface import Endpoint
-from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.ros.type_descriptions import TypeCheckers, TypeDescriptions
 from rsb_bridge.route.message_check import CHECKED_A_SECOND, CHECKED_AT_ONCE, MessageCheck
 

@@ -12,9 +12,9 @@ from tests.support.offline import FakePeer
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.keep import Keep
 from rsb_bridge.model.qos import Qos, auto_depth
+from rsb_bridge.ros.no_ros import NoRos
 from rsb_bridge.ros.publication_numbers import Untaken
 from rsb_bridge.ros.ros_interface import Liveliness, TopicSpec
-from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.route.topic_subscription import TopicSubscription
 from rsb_bridge.telemetry.meters import RateMeter
 

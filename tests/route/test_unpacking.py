@@ -16,8 +16,8 @@ from tests.support.virtual_time import T, Ts, VirtualLoop
 
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
+from rsb_bridge.ros.no_ros import NoRos
 from rsb_bridge.ros.ros_interface import RosError
-from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.route.message_check import EXPANDED_ASIDE, EXPANSION_A_TURN, EXPANSION_AT_ONCE, PUBLISHED_ASIDE
 from rsb_bridge.route.receiver import Receiver
 from rsb_bridge.route.route import Entry, Route

@@ -14,8 +14,8 @@ from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.model.purposes import TOPIC as ORDINARY
 from rsb_bridge.model.session import Session
 from rsb_bridge.model.transports import NO_PROFILE
+from rsb_bridge.ros.no_ros import NoRos
 from rsb_bridge.ros.ros_thread import RosToLoopQueue
-from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.route.half import Half
 from rsb_bridge.route.idling import Timetable
 from rsb_bridge.route.lifecycle import Revisions

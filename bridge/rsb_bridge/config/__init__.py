@@ -1,1 +1,1 @@
-"""Files: sessions, their validation, keys, and the import of the thesis's configuration."""
+"""Files: sessions, their validation, and keys."""

@@ -15,9 +15,9 @@ from rsb_bridge.config.decoding import join
 from rsb_bridge.config.file_form import as_plain, as_written, locations
 from rsb_bridge.config.files import replace_file, stat_of, why_not_written
 from rsb_bridge.config.folder_owner import acting_in_folder
-from rsb_bridge.config.imports.other_bridges import origin_of
 from rsb_bridge.config.validation import build, placed, validate, validate_topic
 from rsb_bridge.config.yaml_text import SessionError, dump_yaml, read_text, read_yaml, text_if_there
+from rsb_bridge.installed_features import added
 from rsb_bridge.model.demands import SourceKey, armed_line, sources_of_entries, sources_of_names
 from rsb_bridge.model.session import Problem, Session, Topic
 from rsb_bridge.model.text import one_line
@@ -37,7 +37,6 @@ class SavingProblem(Wording):
     """The reason why a session file cannot be read as such, or be saved."""
 
     CHANGED = "was changed on disk: `rsb-console reload` takes the file, w in a console compares and asks"
-    FOREIGN = "this is a file of {origin}: convert it with `rsb-console import {path}`"
     NOT_WRITTEN = "cannot be written: {problem}"
     READ_ONLY = "it is read-only: run `chmod u+w {path}` to save it"
     LAYOUT = "its layout cannot be edited in place: w in a console saves it anew, or under another name"
@@ -94,8 +93,8 @@ def open_file(path: Path) -> SessionFile | None:
 def parse(text: str, path: Path) -> Session:
     """Read a session from the text of the file at a path."""
     document = read_yaml(text, path)
-    if origin := origin_of(document.data):
-        raise SessionError(path, [Problem("", SavingProblem.FOREIGN(origin=origin.value, path=path))])
+    if remedies := added("other_file", document.data, path):
+        raise SessionError(path, [Problem("", remedies[0])])
     session, problems = build(document.data)
     if document.problems or problems:
         in_text = [placed(problem, document.data) for problem in document.problems]

@@ -14,11 +14,11 @@ import math
 import selectors
 import threading
 import time
-from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVarTuple
 
+from rsb_bridge.python_internals.asyncio_internals import ObservedLoop, poll_of, reader_of
+
 if TYPE_CHECKING:
-    from collections import deque
     from collections.abc import Callable
     from contextvars import Context
 
@@ -27,13 +27,8 @@ if TYPE_CHECKING:
 Ts = TypeVarTuple("Ts")
 
 
-class IoLoop(asyncio.SelectorEventLoop):
+class IoLoop(ObservedLoop):
     """An event loop that can be visited. It runs on a thread that handles no signals, so never on the main one."""
-
-    # asyncio's own; its methods that return them would be three more calls a message.
-    _debug: bool
-    _ready: deque[asyncio.Handle]
-    _thread_id: int | None
 
     def __init__(self) -> None:
         self._turn = threading.Lock()
@@ -51,14 +46,13 @@ class IoLoop(asyncio.SelectorEventLoop):
         Returns:
             Whether `work` was called. It is not called while the loop runs callbacks, has some to run, or does not run.
         """
-        # asyncio's debug mode refuses call_soon on any thread but the loop's.
-        if self._waits.over or self._debug or not self._turn.acquire(False):
+        if self._waits.over or not self._turn.acquire(False):
             return False
         # The visiting thread may run a loop of its own.
         before = asyncio._get_running_loop()
         try:
             # A visitor overtakes no earlier callback, so that messages keep their order.
-            if self._thread_id is None or self._ready:
+            if not self.waits:
                 return False
             # What every event loop does around its callbacks: the work may ask which loop is running.
             asyncio._set_running_loop(self)
@@ -126,7 +120,7 @@ class _Selector(selectors.EpollSelector):
         self._turn = turn
         self._changes = 0
         self._readers: dict[int, Callable[[], object]] = {}  # of the descriptors that are waited for to read only
-        self._poll: Callable[[float, int], list[tuple[int, int]]] = self._selector.poll  # type: ignore[attr-defined]
+        self._poll = poll_of(self)
 
     def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
         """Wait. If only one socket is readable, read from it here, and wait on."""
@@ -184,9 +178,7 @@ class _Selector(selectors.EpollSelector):
         self._readers.pop(key.fd, None)
         # Of a socket that also waits to write, only asyncio finds out for which of the two it was woken.
         if key.events == selectors.EVENT_READ:
-            # What asyncio registers is a pair of handles, for reading and for writing.
-            callback, args = key.data[0]._callback, key.data[0]._args
-            self._readers[key.fd] = partial(callback, *args) if args else callback
+            self._readers[key.fd] = reader_of(key)
         return key
 
 

@@ -59,6 +59,25 @@ class OnRobot(NamedTuple):
     run: Callable[[Any, Sequence[RouteSnapshot]], Awaitable[None]]
 
 
+class Beginning(NamedTuple):
+    """An action in the menu of all ways to begin.
+
+    Attributes:
+        key: Textual key name there, besides the action's own.
+        about: what follows the label.
+        place: its place in the menu; the core's are 2 and 3.
+        button: its label among the buttons of the list of sessions, or empty if it has none there.
+        writes: whether it writes files: then it is not in the menu of a read-only console.
+    """
+
+    key: str
+    label: str
+    about: str
+    place: int
+    button: str = ""
+    writes: bool = True
+
+
 class FooterEntry(NamedTuple):
     """An action in the footer, as the present state makes it.
 
@@ -101,6 +120,7 @@ class Action:
         on_link: the same on a link under the cursor in the list of links: a coroutine function of a
             `rsb_console.console_api.Console` and the link's snapshot; or None.
         after: the id of the action that it follows in help, footer and palette; or empty, to be the last.
+        begins: how menus offer it as a way to begin, or None; then `run` is a coroutine function.
         chapters: the keys of the screens that it opens, for the help.
     """
 
@@ -123,6 +143,7 @@ class Action:
     with_message: Callable[[Any, str, str, str], Awaitable[None]] | None = None
     on_link: Callable[[Any, LinkSnapshot], Awaitable[None]] | None = None
     after: str = ""
+    begins: Beginning | None = None
     chapters: tuple[KeyChapter, ...] = ()
 
 

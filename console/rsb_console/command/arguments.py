@@ -16,6 +16,7 @@ from rsb_console.command.command_parser import CommandParser
 from rsb_console.command.local_arguments import add_completion, add_local_commands
 from rsb_console.command.topic_arguments import add_topic_commands
 from rsb_console.command.watching_arguments import add_watching_commands
+from rsb_console.library_internals.argparse_internals import Subcommands, commands_of, put_in_order
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -111,7 +112,7 @@ def _of_feature(feature: Feature, command: AddCommand, owners: dict[str, str]) -
     return add
 
 
-def _place(subparsers: argparse._SubParsersAction[CommandParser], places: dict[str, str]) -> None:
+def _place(subparsers: Subcommands[CommandParser], places: dict[str, str]) -> None:
     """Move commands behind others, by name; one whose place has to move itself, after that."""
     while places:
         name = next((each for each, place in places.items() if place not in places), next(iter(places)))
@@ -119,18 +120,14 @@ def _place(subparsers: argparse._SubParsersAction[CommandParser], places: dict[s
         if place in names:
             names.remove(name)
             names.insert(names.index(place) + 1, name)
-            subparsers._choices_actions.sort(key=lambda action: names.index(action.dest))
-            for each in names:  # a dict keeps the order in which its keys came
-                subparsers._name_parser_map[each] = subparsers._name_parser_map.pop(each)
+            put_in_order(subparsers, names)
 
 
 def _add_debug(parser: argparse.ArgumentParser) -> None:
     """Add --debug to the subcommands of a command, for example `client list`."""
-    for action in parser._actions:
-        if isinstance(action, argparse._SubParsersAction):
-            for nested in action.choices.values():
-                nested.add_argument("--debug", action="store_true", default=argparse.SUPPRESS, help=_DEBUG)
-                _add_debug(nested)
+    for nested in (commands_of(parser) or {}).values():
+        nested.add_argument("--debug", action="store_true", default=argparse.SUPPRESS, help=_DEBUG)
+        _add_debug(nested)
 
 
 def _complete(action: argparse.Action, completer: str) -> None:

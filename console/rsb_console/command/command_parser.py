@@ -6,6 +6,8 @@ import argparse
 import itertools
 from typing import TYPE_CHECKING
 
+from rsb_console.library_internals.argparse_internals import actions_of, commands_of, options_of
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -22,7 +24,7 @@ class CommandParser(argparse.ArgumentParser):
         if self._intermixes:  # argparse calls this for the options, then for the rest
             return super().parse_known_args(args, namespace)
         # argparse refuses to intermix options with the words of subcommands.
-        plain = self._subparsers or not {"-h", "--help"}.isdisjoint(
+        plain = commands_of(self) is not None or not {"-h", "--help"}.isdisjoint(
             args or ()
         )  # mixed, the help would leave things out
         parse = super().parse_known_args if plain else self.parse_known_intermixed_args
@@ -38,15 +40,15 @@ class CommandParser(argparse.ArgumentParser):
 
     def _bridge_first(self, args: Sequence[str] | None) -> Sequence[str] | None:
         """Return arguments with ``--bridge`` before a bridge's name that stands first, as in ``pause NAME TOPIC``."""
-        if not args or "--bridge" not in self._option_string_actions or args[0].startswith(("-", "/")):
+        if not args or "--bridge" not in options_of(self) or args[0].startswith(("-", "/")):
             return args
         return ["--bridge", *args] if self._begins_with_a_bridge(args) else args
 
     def _begins_with_a_bridge(self, args: Sequence[str]) -> bool:
         """Whether the first word names a bridge: a topic begins with a slash, and a bridge's name does not."""
         words = [word for before, word in itertools.pairwise(("", *args)) if self._is_positional(before, word)]
-        own = [action for action in self._actions if not action.option_strings]
-        if self._subparsers is not None:  # `fleet NAME`; a command that is mistyped has words of its own
+        own = [action for action in actions_of(self) if not action.option_strings]
+        if commands_of(self) is not None:  # `fleet NAME`; a command that is mistyped has words of its own
             known = {name for action in own for name in action.choices or ()}
             return words[0] not in known and known.issuperset(words[1:2])
         if {action.dest for action in own}.isdisjoint(("topic", "topics")):
@@ -56,5 +58,5 @@ class CommandParser(argparse.ArgumentParser):
         return one_too_many or any(word.startswith(("/", "*")) for word in words[1:])
 
     def _is_positional(self, before: str, word: str) -> bool:
-        option = self._option_string_actions.get(before)
+        option = options_of(self).get(before)
         return not word.startswith("-") and (option is None or option.nargs == 0)

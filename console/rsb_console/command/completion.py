@@ -6,7 +6,7 @@ import os
 import re
 import sys
 import threading
-from argparse import Namespace, _SubParsersAction
+from argparse import Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 
@@ -22,6 +22,7 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.model.text import is_clean
 from rsb_bridge.model.topic_keys import ADDED_KEYS
 from rsb_console.command.shell import OK, print_lines
+from rsb_console.library_internals.argparse_internals import actions_of, commands_of
 
 if TYPE_CHECKING:
     from argparse import Action, ArgumentParser
@@ -79,9 +80,9 @@ def _insert(word: str, number: int) -> None:
 def _bridge_at(parser: ArgumentParser, words: Sequence[str]) -> int | None:
     """Return which word is a bridge's name before a topic, as in ``pause NAME TOPIC``, or None."""
     for number, word in enumerate(words[1:], 1):
-        commands = next((each.choices for each in parser._actions if isinstance(each, _SubParsersAction)), None)
+        commands = commands_of(parser)
         if commands is None:
-            takes = {each.dest for each in parser._actions}
+            takes = {each.dest for each in actions_of(parser)}
             first = "bridge" in takes and not takes.isdisjoint(("topic", "topics")) and word in bridge_names()
             return number if first else None
         if word not in commands:

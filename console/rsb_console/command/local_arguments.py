@@ -32,19 +32,11 @@ def add_local_commands(command: AddCommand, complete: Complete) -> None:
         "path", type=Path, metavar="PATH", nargs="?", default=Path(DEFAULT_KEY_FILE), help="key file (%(default)s)"
     )
     keygen.add_argument("--force", action="store_true", help="replace an existing key file")
-    summary = "convert another bridge's file to a session"
-    _import_arguments(command("import", subcommand("local_commands:import_sessions"), summary), complete)
     summary = "list Bluetooth adapters and their busy RFCOMM channels"
     scan = command("bt-scan", subcommand("bt_scan:scan_bluetooth"), summary)
     only = scan.add_argument("--adapter", metavar="NAME", help="only this one: hci0, or its MAC")
     complete(only, "adapters")
     scan.add_argument("--json", action="store_true", help="print JSON, for programs")
-    summary = "bridge two ROS domains on this machine, with a simulated robot"
-    demo = command("demo", subcommand("local_commands:demo"), summary)
-    demo.add_argument("--no-ui", action="store_true", help="print the log, without the console")
-    demo.add_argument("--seconds", type=seconds, metavar="N", help="stop after N s")
-    service = command("service", subcommand("service:show_unit"), "run a session as a service of systemd")
-    _service_arguments(service, complete)
 
 
 def _run_arguments(parser: argparse.ArgumentParser, complete: Complete) -> None:
@@ -66,46 +58,6 @@ def _run_arguments(parser: argparse.ArgumentParser, complete: Complete) -> None:
     )
     parser.add_argument("--control", type=Path, metavar="PATH", help="path of the control socket to serve")
     console_options(parser, complete)
-
-
-def _service_arguments(parser: argparse.ArgumentParser, complete: Complete) -> None:
-    actions = parser.add_subparsers(metavar="ACTION", required=True)
-    for name, summary in (
-        ("install", "write the session's unit and print the next commands"),
-        ("show", "print the session's unit"),
-        ("uninstall", "remove the session's unit"),
-    ):
-        action = actions.add_parser(name, help=summary, description=f"{summary[0].upper()}{summary[1:]}.")
-        action.set_defaults(command=subcommand(f"service:{name}_unit"))
-        complete(action.add_argument("session", type=Path, metavar="SESSION", help="session file"), "yaml_files")
-        action.add_argument("--system", action="store_true", help="a system service, not one of this user")
-        if name != "show":
-            action.add_argument("--force", action="store_true", help="overwrite or remove a foreign unit, too")
-        if name != "uninstall":
-            action.add_argument("--setup", type=Path, metavar="PATH", help="setup.bash of a workspace, sourced first")
-
-
-def _import_arguments(parser: argparse.ArgumentParser, complete: Complete) -> None:
-    parser.description = (
-        "FILE is config/bringup.yaml of ros2_socket_bridge, a configuration of domain_bridge (of which each pair of "
-        "domains becomes two sessions), or one of zenoh-bridge-ros2dds. What cannot be carried over is printed, and "
-        "written into the session as comments."
-    )
-    complete(parser.add_argument("file", type=Path, metavar="FILE", help="file to convert"), "yaml_files")
-    parser.add_argument("--name", help="name of the bridge; default: the file's, if it has one")
-    parser.add_argument("--role", choices=("client", "server"), help="default: as the file has it")
-    parser.add_argument("--key-file", type=Path, metavar="PATH", help="file with the key")
-    parser.add_argument("--port", type=int, help="port of the server; default: the file's, or 7060")
-    parser.add_argument("--domain-id", type=int, metavar="N", help="ROS domain; default: the file's, or $ROS_DOMAIN_ID")
-    parser.add_argument("--use-name", action="store_true", help="prefix the client's topics on the server")
-    parser.add_argument("--no-encryption", action="store_true", help="all data crosses unencrypted")
-    complete(
-        parser.add_argument(
-            "-o", "--output", type=Path, metavar="PATH", help="file, or folder for several; default: standard output"
-        ),
-        "yaml_files",
-    )
-    parser.add_argument("--force", action="store_true", help="replace existing session files")
 
 
 def add_completion(command: AddCommand, _: Complete) -> None:

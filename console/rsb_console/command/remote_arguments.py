@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 from rsb_console.command.ways import ways
+from rsb_console.library_internals.argparse_internals import actions_of, forget_default
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -119,10 +120,10 @@ def bridge_options(
 
 def inherit_bridge_options(parser: argparse.ArgumentParser) -> None:
     """Let the options of a command's own command be given to the command, too: without them, its values count."""
-    for option in parser._actions:
+    for option in actions_of(parser):
         if option.dest in ("bridge", "control", "way", "json"):
             option.default = argparse.SUPPRESS
-            parser._defaults.pop(option.dest, None)
+            forget_default(parser, option.dest)
 
 
 def named_bridge_options(parser: argparse.ArgumentParser, complete: Complete, *, json: bool = True) -> None:

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import os
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rsb_bridge.api import EngineError
 from rsb_bridge.control.control_sockets import SUFFIX
 from rsb_bridge.model.commands import Effect
 from rsb_bridge.model.wording import Wording
-from rsb_console.operations.save_operations import not_saved, save, save_as
+from rsb_console.actions.all_actions import BY_ID
+from rsb_console.operations.save_operations import not_saved
 from rsb_console.screens.dialog import ConfirmScreen, OfferScreen
 
 if TYPE_CHECKING:
@@ -21,8 +20,6 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Session
     from rsb_console.console_api import Console
     from rsb_console.screens.main import MainScreen
-
-_ANOTHER_DEMO = "This robot and its bridges end; a new robot starts, with the demo's first topics."
 
 
 class SessionQuestion(Wording):
@@ -98,16 +95,9 @@ async def attach_instead(screen: MainScreen, running: RunningBridge) -> None:
 
 async def _begin(screen: MainScreen, choice: str) -> None:
     """Begin with the choice of a dialog: an action, or the path of a session file or of a control socket."""
-    actions = {
-        "demo": demo,
-        "new_session": new_session,
-        "import_session": import_session,
-        "sessions": sessions,
-        "save": save,
-        "save_as": save_as,
-    }
-    if choice in actions:
-        await actions[choice](screen)
+    if choice in BY_ID:
+        if (run := BY_ID[choice].run) and (doing := run(screen)):
+            await doing
     elif choice.endswith(SUFFIX):
         await screen.console.attach(Path(choice))
     else:
@@ -144,57 +134,19 @@ async def new_session(screen: MainScreen, server_ip: str = "") -> None:
     from rsb_console.screens.new_session import NewSessionScreen  # noqa: PLC0415 -- keeps the start short
 
     console = screen.console
-    new = await console.ask(NewSessionScreen(console, partial(_may_run, console), server_ip))
+    new = await console.ask(NewSessionScreen(console, partial(may_run, console), server_ip))
     if new is not None:
         await console.run_session(new.session, new.path)
 
 
-async def import_session(screen: MainScreen) -> None:
-    """Import a file of another bridge."""
-    from rsb_console.screens.new_session import ImportScreen  # noqa: PLC0415 -- keeps the start short
-
-    console = screen.console
-    imported = await console.ask(ImportScreen(console, partial(_may_run, console)))
-    if imported is not None:
-        await console.run_session(imported.session, imported.path)
-
-
-async def demo(screen: MainScreen) -> None:
-    """Run the demo: a simulated robot on this machine."""
-    from rsb_console.session.demo_session import running_demo  # noqa: PLC0415 -- keeps the start short
-
-    console = screen.console
-    runs = console.temporary and console.engine is not None
-    if runs and console.snapshot().running:
-        title = "The demo runs already. Start it again?"
-        agreed = await confirm_end(console, title, "Start again", means=_ANOTHER_DEMO)
-    else:
-        agreed = await confirm_end(console, "Run the demo instead?", "Run")
-    if not agreed:
-        return
-    console.notify("the simulated robot starts …", timeout=3)
-    resources = contextlib.ExitStack()
-    starting = asyncio.ensure_future(asyncio.to_thread(resources.enter_context, running_demo()))
-    try:
-        # The thread cannot be cancelled: what it starts has to be ended once it is there.
-        robot = await asyncio.shield(starting)
-    except EngineError as error:
-        console.notify(str(error), title="No demo", severity="error", markup=False, timeout=15)
-    except asyncio.CancelledError:
-        starting.add_done_callback(lambda _: resources.close())
-        raise
-    else:
-        await console.run_session(robot.session, robot.path, resources, temporary=True)
-
-
-async def _may_run(console: Console, path: Path) -> bool:
+async def may_run(console: Console, path: Path) -> bool:
     """Whether the operator agrees to run the session of a file instead of the present one."""
     return await confirm_end(console, f"Run {path.name} instead?", "Run")
 
 
 async def _run(console: Console, session: Session, path: Path) -> bool:
     """Run a session instead of the present one, if the operator agrees; whether they did."""
-    agreed = await _may_run(console, path)
+    agreed = await may_run(console, path)
     if agreed:
         await console.run_session(session, path)
     return agreed

@@ -27,11 +27,11 @@ if TYPE_CHECKING:
     from textual.geometry import Size, Spacing
     from textual.screen import Screen
     from textual.widget import Widget
-    from textual.widgets._button import ButtonVariant
 
     from rsb_bridge.api import EngineApi
     from rsb_bridge.model.snapshot import RouteSnapshot
     from rsb_console.console_api import ConsoleShell
+    from rsb_console.library_internals.textual_internals import ButtonVariant
     from rsb_console.session.changes import Undo
 
 T = TypeVar("T")

@@ -168,11 +168,11 @@ class LinkScreen(ModalScreen[None]):
 
     def __init__(self, console: Console, name: str) -> None:
         super().__init__()
-        self.console, self._name = console, name
+        self.console, self._link = console, name
         self.detail, self.topics = LinkDetail(), TopicsTable()
 
     def compose(self) -> ComposeResult:
-        yield Dialog(f"Link {self._name}", self.detail, self.topics, keys="esc close")
+        yield Dialog(f"Link {self._link}", self.detail, self.topics, keys="esc close")
 
     def on_mount(self) -> None:
         self.set_interval(1 / self.console.refresh_rate, self.show)
@@ -181,7 +181,7 @@ class LinkScreen(ModalScreen[None]):
     def show(self) -> None:
         """Show the present state of the link; close the screen if the link is gone."""
         now = self.console.snapshot()
-        link = next((link for link in now.links if link.name == self._name), None)
+        link = next((link for link in now.links if link.name == self._link), None)
         if link is None:
             # Textual closes the screen on top, which may be the help.
             if self.is_active:
@@ -189,7 +189,7 @@ class LinkScreen(ModalScreen[None]):
             return
         self.detail.show(link, now.time, server=now.role == "server")
         # Patterns stand with their links; and if there are several, the table names the peer of each topic.
-        routes = tuple(route for route in now.routes if route.link == self._name)
+        routes = tuple(route for route in now.routes if route.link == self._link)
         self.topics.show(replace(now, routes=routes, links=(link,)))
         self.topics.explain("Nothing is bridged over this link.")
         self.topics.styles.height = min(self.topics.line_count + 1, max(3, self.size.height // 2))

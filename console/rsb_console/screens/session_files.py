@@ -12,6 +12,7 @@ from textual.widgets import Button
 from rsb_bridge.config.files import typed_path
 from rsb_bridge.config.session_file import SessionError, load
 from rsb_bridge.model.wording import Wording
+from rsb_console.actions.all_actions import ACTIONS
 from rsb_console.session.recent_sessions import recent_sessions
 from rsb_console.widgets.form import FormScreen, Spec
 from rsb_console.widgets.lines import fit
@@ -24,7 +25,11 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.session import Session
 
-MORE = {"new_session": "New…", "import_session": "Import…", "save": "Save", "save_as": "Save as…"}
+MORE = {
+    **{action.id: action.begins.button for action in ACTIONS if action.begins and action.begins.button},
+    "save": "Save",
+    "save_as": "Save as…",
+}
 
 
 class FileText(Wording):
@@ -32,7 +37,6 @@ class FileText(Wording):
 
     EXISTS = "the file exists: ⏎ picks it"
     MISSING = "missing: name the file"
-    SEVERAL_SESSIONS = "several sessions: run `rsb-console import {path} -o FOLDER`"
 
 
 class OpenedFile(NamedTuple):

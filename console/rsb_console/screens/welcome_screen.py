@@ -8,7 +8,8 @@ from textual.binding import Binding
 from textual.screen import ModalScreen
 from textual.widgets import Static
 
-from rsb_console.actions.all_actions import BY_ID
+from rsb_console.actions.action import Beginning
+from rsb_console.actions.all_actions import ACTIONS, BY_ID
 from rsb_console.screens.dialog import Dialog
 from rsb_console.session.recent_sessions import recent_sessions
 from rsb_console.widgets.lines import Line, fit
@@ -25,14 +26,10 @@ if TYPE_CHECKING:
 ABOUT = """\
 Bridges ROS 2 topics between domains and networks over encrypted sockets,
 and shows which of them flow."""
-CHOICES = {
-    "demo": ("d", "Demo", "a simulated robot, bridged on this machine"),
-    "new_session": ("n", "New session", "a form that creates the session file and the key"),
-    "sessions": ("o", "Open a session", "a recent one, or any file"),
-    "import_session": ("i", "Import", "a file of ros2_socket_bridge or zenoh-bridge-ros2dds"),
-    "quit": ("q", "Quit", ""),
-}
-WATCHING = ("demo", "sessions", "quit")
+_QUIT = Beginning("q", "Quit", "", 0, writes=False)
+_BEGINNINGS = {action.id: action.begins for action in ACTIONS if action.begins}
+CHOICES = {**dict(sorted(_BEGINNINGS.items(), key=lambda each: each[1].place)), "quit": _QUIT}
+WATCHING = tuple(choice for choice, each in CHOICES.items() if not each.writes)
 RECENT = 5  # sessions in the menu, each with a digit as its key
 
 
@@ -47,8 +44,8 @@ class Menu(SelectableList):
             message = f"{about}, pid {bridge.pid}; ⏎ attaches"
             self._lines[str(bridge.path)] = (("●  ", "ok"), (f"{bridge.name:<17}", "strong"), (message, "dim"))
         for choice in choices:
-            key, label, more = CHOICES[choice]
-            self._lines[choice] = ((f"{key}  ", "key"), (f"{label:<17}", "strong"), (more, "dim"))
+            each = CHOICES[choice]
+            self._lines[choice] = ((f"{each.key}  ", "key"), (f"{each.label:<17}", "strong"), (each.about, "dim"))
         for number, path in enumerate(recent, start=1):
             self._lines[str(path)] = ((f"{number}  ", "key"), (f"{path.stem:<17}", "strong"), (str(path), "dim"))
         self._lines["quit"] = self._lines.pop("quit")  # last
@@ -71,8 +68,8 @@ class WelcomeScreen(ModalScreen[str]):
         Binding("escape", "dismiss('')", show=False),
         *(
             # Also by the keys of the main screen, which the menu hides.
-            Binding(f"{key},{BY_ID[choice].keys}", f"dismiss('{choice}')", show=False)
-            for choice, (key, _, _) in CHOICES.items()
+            Binding(f"{each.key},{BY_ID[choice].keys}", f"dismiss('{choice}')", show=False)
+            for choice, each in CHOICES.items()
         ),
         *(Binding(str(number), f"select_recent({number})", show=False) for number in range(1, RECENT + 1)),
     ]

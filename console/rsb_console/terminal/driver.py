@@ -10,26 +10,24 @@ import signal
 import sys
 import threading
 import time
-from codecs import getincrementaldecoder
-from functools import partial
 from queue import Full
 from typing import TYPE_CHECKING, Any
 
 from textual import constants, events
-from textual._ansi_sequences import SYNC_END, SYNC_START
-from textual._parser import ParseTimeout
-from textual._xterm_parser import XTermParser
-from textual.drivers import linux_driver
 from textual.drivers.linux_driver import (
     KITTY_DISAMBIGUATE_ESCAPE_CODES,
     KITTY_REPORT_ALL_KEYS,
     KITTY_REPORT_ASSOCIATED_TEXT,
-    LinuxDriver,
 )
-from textual.message_pump import MessagePump
-from textual.screen import Screen
 
 from rsb_bridge.config.files import make_folder, owner_only
+from rsb_console.library_internals.textual_internals import (
+    SYNC_END,
+    SYNC_START,
+    KeyReader,
+    TerminalDriver,
+    read_keys_with,
+)
 from rsb_console.terminal import terminal_facts
 from rsb_console.terminal.known_terminal import KnownTerminal
 from rsb_console.terminal.pulse import KIND, WHO_ARE_YOU, Pulse, without_answers
@@ -39,12 +37,10 @@ from rsb_console.terminal.tmux import tmux
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
     from pathlib import Path
-    from queue import Queue
     from types import FrameType
 
     from textual.app import App
     from textual.message import Message
-    from textual.timer import Timer
 
     from rsb_console.terminal.terminal_facts import TerminalFacts
 
@@ -69,12 +65,9 @@ _REDRAW = "ctrl+l"
 _BEGINS_ANSWER = "][P_"  # after an Escape
 _ANSWER_WITHIN = 0.5
 """s in which an answer has to come whole. A round figure: Escape and ] wait for so long if no key follows."""
-# Textual 8 ends on bytes that are not UTF-8, such as the legacy mouse reports that tmux sends (its issue 6668).
-_lenient = partial(getincrementaldecoder("utf-8"), "replace")
-vars(linux_driver)["getincrementaldecoder"] = lambda _encoding: _lenient
 
 
-class KeyParser(XTermParser):
+class KeyParser(KeyReader):
     """Reads Escape and another key that arrive together as those two keys, and what the terminal says of itself.
 
     Textual reads the two as Alt with the key, which means nothing to the console; of two Escapes it makes ``^``, and of
@@ -111,7 +104,7 @@ class KeyParser(XTermParser):
         for char in data:
             if self._is_torn(char):
                 continue
-            if self._answer or (self._after_escape and self._waits and char in _BEGINS_ANSWER):
+            if self._answer or (self._after_escape and self.waits and char in _BEGINS_ANSWER):
                 yield from self._feed_answer(char)
             else:
                 yield from self._feed_key(char)
@@ -125,7 +118,7 @@ class KeyParser(XTermParser):
             return False
         sequence = self._sequence + char
         self._sequence = sequence if _BEGINS_SEQUENCE.fullmatch(sequence) else ""
-        if not (self._sequence or _SEQUENCE.fullmatch(sequence)) or self._waits or self._answer:
+        if not (self._sequence or _SEQUENCE.fullmatch(sequence)) or self.waits or self._answer:
             return False
         return self._pulse is not None and not self._pulse.is_over(self._sequence_at)
 
@@ -134,29 +127,20 @@ class KeyParser(XTermParser):
             yield from self._end_answer()
         yield from super().tick()
 
-    @property
-    def _waits(self) -> bool:
-        return self._awaiting.timeout is not None
-
     def _feed_key(self, char: str) -> Iterator[Message]:
-        if self._after_escape and self._waits and char not in _CONTINUES_ESCAPE:
-            self._end_escape()
+        if self._after_escape and self.waits and char not in _CONTINUES_ESCAPE:
+            self.end_escape()
         yield from super().feed(char)
         self._after_escape = char == _ESCAPE
 
-    def _end_escape(self) -> None:
-        """Take the Escape that waits for a key: what Textual does itself once its timeout is over."""
-        self._timeout_time = None
-        self._awaiting = self._gen.throw(ParseTimeout())
-
     def _feed_answer(self, char: str) -> Iterator[Message]:
         if not self._answer:
-            self._timeout_time = None
+            self.wait_no_longer()
             self._answer_due = time.monotonic() + _ANSWER_WITHIN
         self._answer += char
         if terminal_facts.is_answer(self._answer):
-            self._end_escape()
-            self._tokens.clear()  # its Escape is none
+            self.end_escape()
+            self.drop_keys()  # its Escape is none
             self._after_escape = False
             answer, self._answer = self._answer, ""
             yield events.Key(_FACT, answer)
@@ -169,44 +153,11 @@ class KeyParser(XTermParser):
         for char in keys:
             yield from self._feed_key(char)
 
-    def _sequence_to_key_events(self, sequence: str, alt: bool = False) -> Iterable[events.Key]:
+    def keys_of(self, sequence: str, alt: bool) -> Iterable[events.Key]:
         if KIND.fullmatch(sequence):  # Textual would take it for keys
             return [events.Key(_KIND, sequence)]
-        return super()._sequence_to_key_events(sequence, alt)
+        return super().keys_of(sequence, alt)
 
-
-_textual_on_resize = Screen._on_resize
-
-
-async def _on_resize(screen: Screen[Any], event: events.Resize) -> None:
-    """Take a size, unless the terminal has another one by now.
-
-    Each size that a screen takes comes back to it as one more event once it is laid out. With two sizes in flight, as
-    when a terminal is resized while the app starts, or with COLUMNS and LINES of another size, they alternate for ever,
-    at 100 % CPU, and the app does not go on.
-    """
-    if event.size == screen.app.size:
-        await _textual_on_resize(screen, event)
-
-
-Screen._on_resize = _on_resize  # type: ignore[method-assign, assignment]
-
-_textual_set_timer = MessagePump.set_timer
-
-
-def _set_timer(pump: MessagePump, *arguments: Any, **options: Any) -> Timer:
-    """Make a timer of one call, which it does not skip.
-
-    Textual skips a call whose time is over when the timer begins, as on a machine that is busy for so long: with the
-    only one lost, a message stayed for ever, or no further size of the terminal was taken
-    (findings/textual-one-shot-timer.sh).
-    """
-    timer = _textual_set_timer(pump, *arguments, **options)
-    timer._skip = False
-    return timer
-
-
-MessagePump.set_timer = _set_timer  # type: ignore[method-assign, assignment]
 
 _WAITED = 0.02
 """s from which on the kernel let a write wait."""
@@ -288,7 +239,7 @@ class TerminalFile:
         return self._fd
 
 
-class ConsoleDriver(LinuxDriver):
+class ConsoleDriver(TerminalDriver):
     """Textual's driver, whose `write` never blocks the app.
 
     Textual passes what it writes to a thread through a queue of 30, and blocks the app, with its keys and signals,
@@ -300,9 +251,9 @@ class ConsoleDriver(LinuxDriver):
     """
 
     def __init__(self, app: Any, **options: Any) -> None:
-        super().__init__(app, **options)
         self.line = TerminalLine(rate=rate_of(app.terminal))
-        self._file: Any = TerminalFile(app.terminal, app.terminal_gone, self.line)
+        self._terminal = TerminalFile(app.terminal, app.terminal_gone, self.line)
+        super().__init__(app, self._terminal, **options)
         self.losses = 0
         self._texts = 0
         self._waits_since = 0.0
@@ -320,18 +271,13 @@ class ConsoleDriver(LinuxDriver):
         self._title = ""
         self.pulse = Pulse(os.environ)
 
-    def _get_terminal_size(self) -> tuple[int, int]:
+    def terminal_size(self) -> tuple[int, int]:
         # Textual asks standard output, which may not be the terminal.
         with contextlib.suppress(OSError):
-            columns, lines = os.get_terminal_size(self._file.fileno())
+            columns, lines = os.get_terminal_size(self._terminal.fileno())
             if columns and lines:  # a pseudo-terminal that nobody has sized is 0 × 0
                 return columns, lines
-        return super()._get_terminal_size()
-
-    @property
-    def _queue(self) -> Queue[str | None]:
-        assert self._writer_thread is not None, "application mode"
-        return self._writer_thread._queue
+        return super().terminal_size()
 
     def write(self, data: str) -> None:
         """Pass `data` on to the terminal, or drop it while the queue is full, or another program has the terminal."""
@@ -340,7 +286,7 @@ class ConsoleDriver(LinuxDriver):
         if not self._waits:
             self._waits_since = time.monotonic()
         with contextlib.suppress(Full):
-            self._queue.put_nowait(data)
+            self.queue.put_nowait(data)
             self._texts += 1
             self.line.wrote(len(data) if data.isascii() else len(data.encode("utf-8", "replace")))
 
@@ -348,20 +294,19 @@ class ConsoleDriver(LinuxDriver):
         """Write a frame, which the terminal shows at once if it is to be whole and the terminal can do so."""
         if self._lacks_modes:
             self._set_modes()
-        synchronized: bool = whole and self._app._sync_available
+        synchronized = whole and self.can_synchronize
         self.write(f"{SYNC_START}{text}{SYNC_END}" if synchronized else text)
         if self.line.is_to_be_asked:
             self.ask()
 
     @property
     def _has_terminal(self) -> bool:
-        return self._writer_thread is not self._ended
+        return self.writer is not self._ended
 
     @property
     def _waits(self) -> bool:
         """Whether the thread has not yet written all."""
-        file: TerminalFile = self._file
-        return file.texts != self._texts
+        return self._terminal.texts != self._texts
 
     @property
     def is_free(self) -> bool:
@@ -398,21 +343,18 @@ class ConsoleDriver(LinuxDriver):
         self._lacks_modes = True
         self._kind_told = ""
         # Until the terminal says that it tells its size among the keys, SIGWINCH tells it.
-        self._in_band_window_resize = False
+        self.tells_size_among_keys = False
 
     def _set_modes(self) -> None:
         """Set what `start_application_mode` sets; in the terminal that has it already, this changes nothing."""
         self._lacks_modes = False
         self.write(_ALTERNATE_SCREEN)
-        if self._mouse_pixels and self._parser is not None:
-            self._mouse_pixels = self._parser.mouse_pixels = False
+        if self.mouse_in_pixels and self._parser is not None:
+            self.mouse_in_pixels = self._parser.mouse_pixels = False
             self.write(_MOUSE_IN_CELLS)
-        self._enable_mouse_support()
+        self.set_mouse()
         self.write(_CURSOR_AND_FOCUS if constants.DISABLE_KITTY_KEY else _CURSOR_AND_FOCUS + _KITTY_KEYS)
-        self._enable_bracketed_paste()
-        self._disable_line_wrap()
-        self._request_terminal_sync_mode_support()
-        self._query_in_band_window_resize()
+        self.set_text_modes()
 
     def _meet(self, kind: str) -> None:
         """Find out what the terminal can show, if it may be another one."""
@@ -421,7 +363,7 @@ class ConsoleDriver(LinuxDriver):
         if self.pulse.is_shared and self._known.is_known:
             return  # each of several tells its own kind, and would be the next
         before = self._known.facts
-        if self._known.meet(kind, terminal_facts.cell_by_kernel(self._file.fileno())):
+        if self._known.meet(kind, terminal_facts.cell_by_kernel(self._terminal.fileno())):
             self.write(terminal_facts.BACKGROUND + terminal_facts.QUESTIONS)
             self.ask()  # after the answer to this one, none comes
         title, self._title = self._title, ""
@@ -491,7 +433,7 @@ class ConsoleDriver(LinuxDriver):
     def ask(self) -> None:
         """Ask the terminal for a sign that it gets what is written, and that its keys come here."""
         # While the queue is full, the question would be dropped, and count as one that the terminal does not answer.
-        if self._asks and not self._queue.full():
+        if self._asks and not self.queue.full():
             kind = WHO_ARE_YOU if self.pulse.asks_kind else ""
             if question := self.pulse.question():
                 self.write(kind + question)  # the kind first: it is known once the question is answered
@@ -504,20 +446,20 @@ class ConsoleDriver(LinuxDriver):
                 if (asked := self.pulse.answered(message.y + 1, message.x + 1)) is not None:
                     self.line.answered(asked)
                     if self._known.is_in_doubt:
-                        self._app.call_later(self._meet_told)
+                        self.app.call_later(self._meet_told)
                 return
             case events.Key(key=key, character=answer) if key == _FACT:
-                self._app.call_later(self._take_answer, answer or "")  # on the app's thread, as this one reads the keys
+                self.app.call_later(self._take_answer, answer or "")  # on the app's thread, as this one reads the keys
                 return
             case events.Key(key=key) if key == _KIND:
                 kind = KIND.fullmatch(message.character or "")["kind"]  # type: ignore[index]
                 self.pulse.take_kind(kind)
                 self._kind_told = kind
-                self._app.call_later(self._meet_told)
+                self.app.call_later(self._meet_told)
                 return
             case events.Key(key=key) if key == _REDRAW:
                 self._doubt()
-                self._app.call_later(self._app.refresh)
+                self.app.call_later(self.app.refresh)
             case events.Paste():
                 message.text = without_answers(message.text)
         self.pulse.stamp(message)
@@ -531,25 +473,12 @@ class ConsoleDriver(LinuxDriver):
             time.sleep(_LOOK_EVERY)
         super().disable_input()
 
-    @property
-    def mouse(self) -> bool:
-        """Whether the app gets mouse events. If not, the terminal has the mouse, for selecting text."""
-        return self._mouse
-
-    @mouse.setter
-    def mouse(self, wanted: bool) -> None:
-        if not wanted:
-            # Textual writes this only while the mouse counts as on, so before the change.
-            self._disable_mouse_support()
-        self._mouse = wanted
-        self._enable_mouse_support()
-
-    def _sigcont_application(self, *_: object) -> None:
+    def continued(self) -> None:
         """Take the terminal back, soon. Signals may arrive faster than that takes; one call serves all of them."""
-        if self._writer_thread is not None and not self._continuing:
+        if self.writer is not None and not self._continuing:
             self._doubt()
             self._continuing = True
-            self._app.call_later(self._continue)
+            self.app.call_later(self._continue)
 
     def _continue(self) -> None:
         """Take the terminal back and redraw everything.
@@ -558,16 +487,16 @@ class ConsoleDriver(LinuxDriver):
         time: it would leave threads behind, and restore raw mode at the end. So application mode is left first.
         """
         self._continuing = False
-        if not self._must_signal_resume:
+        if not self.resumes:
             self.suspend_application_mode()
-        super()._sigcont_application()
-        self._app.refresh()
+        super().continued()
+        self.app.refresh()
 
     def run_input_thread(self) -> None:
         """Read keys until the terminal is gone. Without the watch for a hangup, this would spin on empty reads."""
         self._unwatched = ended = threading.Event()
         threading.Thread(target=self._watch_hangup, args=(ended,), name="terminal-hangup", daemon=True).start()
-        vars(linux_driver)["XTermParser"] = self._new_parser
+        read_keys_with(self._new_parser)
         with contextlib.suppress(OSError):
             super().run_input_thread()
 
@@ -582,17 +511,17 @@ class ConsoleDriver(LinuxDriver):
             if poll.poll(_LOOK_EVERY_MS):
                 ended.set()
                 self.exit_event.set()
-                self._file.hung_up()
+                self._terminal.hung_up()
 
     def close(self) -> None:
         """Write the last frames, unless the terminal does not read."""
         self._unwatched.set()  # a hangup is no news any more
-        thread = self._writer_thread
+        thread = self.writer
         if thread is None:
             return
         self._ended = thread
         try:
-            self._queue.put(None, timeout=CLOSE_TIMEOUT)
+            self.queue.put(None, timeout=CLOSE_TIMEOUT)
         except Full:
             return  # a daemon thread: it ends with the process
         thread.join(CLOSE_TIMEOUT)

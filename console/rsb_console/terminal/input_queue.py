@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, Protocol, TypeGuard
 from weakref import WeakKeyDictionary, WeakSet
 
 from textual import events
-from textual.command import CommandPalette
 from textual.screen import Screen
 from textual.worker import Worker, get_current_worker
 
 from rsb_bridge.model.wording import Wording
+from rsb_console.library_internals.textual_internals import PALETTE_GROUP, has_messages, holds_message, is_idle
 from rsb_console.terminal.pulse import FRESH_FOR, Pulse, heard_before, is_from_terminal
 
 if TYPE_CHECKING:
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from textual.app import App
     from textual.geometry import Region
     from textual.message import Message
-    from textual.message_pump import MessagePump
 
 DIALOG: Final = "dialog"
 """Group of the workers of a screen that may open a dialog."""
@@ -58,7 +57,7 @@ class InputQueue:
 
     def __init__(self, app: App[Any], groups: Collection[str]) -> None:
         self._app = app
-        self._groups = {DIALOG, CommandPalette._GATHER_COMMANDS_GROUP, *groups}
+        self._groups = {DIALOG, PALETTE_GROUP, *groups}
         self._waiting: deque[Message] = deque()
         self._next: Message | None = None
         self._task: asyncio.Task[None] | None = None
@@ -83,8 +82,8 @@ class InputQueue:
         if event is self._next:
             self._next = None
             return False
-        # A lone key goes through at once. Textual may hold one more message than its queue shows.
-        if not self.delivers and self._app._pending_message is None and self._has_settled():
+        # A lone key goes through at once.
+        if not self.delivers and not holds_message(self._app) and self._has_settled():
             return False
         self._waiting.append(event)
         self._begin()
@@ -122,7 +121,7 @@ class InputQueue:
     async def _settle(self) -> None:
         clock = asyncio.get_running_loop().time
         deadline = clock() + PATIENCE
-        while not (_is_idle(self._app) and self._has_settled()):
+        while not (is_idle(self._app) and self._has_settled()):
             if clock() > deadline:
                 # Else each further input would wait for the same worker again.
                 self._abandoned.update(self._opening())
@@ -132,14 +131,14 @@ class InputQueue:
     def _has_settled(self) -> bool:
         """Whether the app has finished all work except the message that it handles now."""
         app = self._app
-        if not app._message_queue.empty():
+        if has_messages(app):
             return False
         if not app.screen_stack:
             return True
         screen = app.screen
         return (
-            _is_idle(screen)
-            and all(_is_idle(widget) for widget in screen.walk_children())
+            is_idle(screen)
+            and all(is_idle(widget) for widget in screen.walk_children())
             and next(self._opening(), None) is None
         )
 
@@ -154,12 +153,6 @@ class InputQueue:
             and worker not in self._abandoned
             and self._dialogs.get(worker) not in shown
         )
-
-
-def _is_idle(pump: MessagePump) -> bool:
-    """Whether a message pump waits for its next message."""
-    ready: asyncio.Event = pump._message_queue.ready_event
-    return bool(ready._waiters) and not ready.is_set()
 
 
 class LateInput(Wording):

@@ -13,8 +13,10 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from rich.cells import get_character_cell_size, split_graphemes
-from textual._compositor import ChopsUpdate, LayoutUpdate
 from textual.geometry import Region
+
+from rsb_console.library_internals.rich_internals import attributes_of
+from rsb_console.library_internals.textual_internals import ChopsUpdate, LayoutUpdate
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -424,7 +426,7 @@ def _cells(text: str, look: CellLook) -> tuple[Cell, ...]:
 def _look(style: Style | None, colours: ColorSystem) -> CellLook:
     if style is None:
         return _OWN
-    bits = style._attributes & style._set_attributes
+    bits = attributes_of(style)
     attributes = ";".join(code for bit, code in enumerate(_ATTRIBUTES) if bits & (1 << bit))
     ink, paper = (
         own if colour is None else ";".join(colour.downgrade(colours).get_ansi_codes(foreground=own is _OWN_INK))

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Final
 
 from textual.geometry import Region
 from textual.widgets import Input, TextArea
-from textual.widgets._toast import ToastRack
 
+from rsb_console.library_internals.textual_internals import ToastRack, crash
 from rsb_console.terminal.screen_cells import FIRST, LAST, LINES, USUAL, ScreenCells
 from rsb_console.terminal.terminal_line import TerminalLine
 
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
     from typing import Any
 
     from rich.color import ColorSystem
-    from textual._compositor import ChopsUpdate, LayoutUpdate
     from textual.app import App
     from textual.screen import Screen
     from textual.widget import Widget
 
+    from rsb_console.library_internals.textual_internals import ChopsUpdate, LayoutUpdate
     from rsb_console.terminal.driver import ConsoleDriver
 
 _LOOK_EVERY: Final = 0.02
@@ -163,7 +163,7 @@ class ScreenWriter:
         try:
             self.give()
         except Exception as error:  # noqa: BLE001 -- a crash of the app, as in its own handlers
-            self._app._handle_exception(error)
+            crash(self._app, error)
 
     def _write(self, text: str, spans: Sequence[tuple[int, int, int]]) -> None:
         if isinstance(self._app.focused, Input | TextArea):

@@ -65,12 +65,12 @@ class FieldInput(Input):
 
     # Textual calls these handlers of every class, Input's after ours, unless the default is prevented.
 
-    def _on_focus(self, event: events.Focus) -> None:
+    def on_focus(self, event: events.Focus) -> None:
         # When the terminal's window gets the focus back, the cursor stays where it was.
         if not self.select_on_focus and not event.from_app_focus:
             self.cursor_position = len(self.value)
 
-    async def _on_key(self, event: events.Key) -> None:
+    async def on_key(self, event: events.Key) -> None:
         if self.input_guard.covers(event):
             event.stop()
             event.prevent_default()
@@ -81,7 +81,7 @@ class FieldInput(Input):
             event.prevent_default()
             await self.action_submit()
 
-    def _on_paste(self, event: events.Paste) -> None:
+    def on_paste(self, event: events.Paste) -> None:
         covered = self.input_guard.covers(event)
         if covered or "\t" in event.text:
             event.stop()
@@ -105,7 +105,7 @@ class TextInput(TextArea):
     def __init__(self, value: str, blank: str) -> None:
         super().__init__(value, placeholder=blank, compact=True, highlight_cursor_line=False)
 
-    async def _on_paste(self, event: events.Paste) -> None:
+    async def on_paste(self, event: events.Paste) -> None:
         """Stop the event: Textual also calls TextArea's handler, which would return it through the screen."""
         event.stop()
 

@@ -12,6 +12,7 @@ from textual.message import Message
 from textual.screen import ModalScreen
 from textual.widgets import Button, Input, Static, TextArea
 
+from rsb_console.library_internals.textual_internals import HasPlace
 from rsb_console.terminal.input_queue import InputQueue
 from rsb_console.widgets.controls import Choice, FieldInput, InputGuard, TextInput
 
@@ -55,7 +56,7 @@ class Notice(Static):
             self.display = bool(text)
 
 
-class Field(Vertical):
+class Field(Vertical, HasPlace):
     """A label, an input or a choice, and its problem.
 
     Attributes:
@@ -91,12 +92,6 @@ class Field(Vertical):
             yield self.control
         yield self.problem
         yield self.note
-
-    @property
-    def _focus_sort_key(self) -> tuple[int, int]:
-        # Textual orders widgets by their place on the screen. A field that has just appeared has none yet and would
-        # come before all others, so that fast typing would go to it.
-        return self.position, 0
 
     def describe(self, spec: Spec) -> None:
         """Take another label, help and options for the same key; the value stays if it is still an option."""

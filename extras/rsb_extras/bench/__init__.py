@@ -37,7 +37,7 @@ LIMITS: SessionKey[BenchmarkLimits | None] = SessionKey("bench", BenchmarkLimits
 
 class BenchFeature(Feature):
     name = "bench"
-    needs = ("recording",)
+    needs = ("demo", "recording")
 
     def session_keys(self) -> Iterable[SessionKey[Any]]:
         return (LIMITS,)

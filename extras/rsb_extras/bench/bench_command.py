@@ -33,12 +33,12 @@ from rsb_console.command.shell import (
     print_lines,
 )
 from rsb_console.command.target import UsageError, attached, check_link, failed
-from rsb_console.simulated.processes import ProcessError
 from rsb_extras.bench.bench_recording import BenchRecording
 from rsb_extras.bench.loopback import TRANSPORTS, Loopback, machine, ros_problem
 from rsb_extras.bench.presentation import USUAL, as_svg, in_terminal, in_words, judge, lines_of
 from rsb_extras.bench.results import BenchError, BenchReport, as_json
 from rsb_extras.bench.suite import FULL, QUICK, OverLink, Plan, Suite, loads_of, loads_of_all, ways_of
+from rsb_extras.demo.processes import ProcessError
 from rsb_extras.recording.mcap_file import McapText
 
 if TYPE_CHECKING:

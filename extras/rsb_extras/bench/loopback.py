@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 from rsb_bridge.api import EngineError
 from rsb_bridge.control.remote_engine import attach
 from rsb_bridge.model.snapshot import State
-from rsb_console.session.demo_session import free_port
-from rsb_console.simulated.processes import READY_WITHIN, Process, listening, router
 from rsb_extras.bench.benchmark import Bench, BenchmarkStep
 from rsb_extras.bench.results import BenchError, Many, Run, Side, Way
+from rsb_extras.demo.demo_session import free_port
+from rsb_extras.demo.processes import READY_WITHIN, Process, listening, router
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence

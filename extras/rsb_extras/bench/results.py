@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal, Protocol, TypeAlias
 import msgspec
 
 from rsb_bridge.model.text import escape_json
-from rsb_console.simulated.processes import ProcessError
+from rsb_extras.demo.processes import ProcessError
 
 if TYPE_CHECKING:
     from contextlib import AbstractContextManager

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, NamedTuple
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.transports import of_link
 from rsb_console.notation.formats import byte_count
-from rsb_console.simulated.processes import ProcessError
 from rsb_extras.bench.benchmark import BENCH, ENDED_BY_PEER, MOST_SECONDS, Bench, BenchmarkStep, Outcome
 from rsb_extras.bench.results import BenchError, Load, Point, Run, Side, StoppedError, Way
+from rsb_extras.demo.processes import ProcessError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence

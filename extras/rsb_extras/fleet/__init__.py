@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 class FleetFeature(Feature):
     name = "fleet"
+    needs = ("demo",)
 
     def subcommands(self, add: AddCommand, complete: Complete) -> None:
         from rsb_extras.fleet.fleet_arguments import add_fleet_commands  # noqa: PLC0415 -- `Feature` says why

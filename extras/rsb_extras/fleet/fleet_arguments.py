@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from rsb_console.command.argument_values import count, seconds
 from rsb_console.command.command_parser import CommandParser
 from rsb_console.command.remote_arguments import bridge_options, console_options, inherit_bridge_options, subcommand
+from rsb_console.library_internals.argparse_internals import Subcommands, commands_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -109,8 +110,7 @@ def add_fleet_commands(command: AddCommand, complete: Complete) -> None:
 
 def say_what_runs(commands: Mapping[str, argparse.ArgumentParser]) -> None:
     """Have the parser of `fleet exec` know which of all commands it runs."""
-    own = (each.choices for each in commands["fleet"]._actions if isinstance(each, argparse._SubParsersAction))
-    run = next(own)["exec"]
+    run = (commands_of(commands["fleet"]) or {})["exec"]
     able = [*_IN_FLEET, *(name for name, each in commands.items() if each.get_default("in_fleet"))]
     run.set_defaults(able=able)
     run.epilog = _EXEC.replace("{commands}", f"{', '.join(able[:8])},\n{', '.join(able[8:])}")
@@ -126,7 +126,7 @@ def add_demo_options(demo: argparse.ArgumentParser) -> None:
 
 
 def _add_fleet_command(
-    commands: argparse._SubParsersAction[_FleetParser],
+    commands: Subcommands[_FleetParser],
     complete: Complete,
     name: str,
     function: str,

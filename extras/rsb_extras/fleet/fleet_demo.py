@@ -16,7 +16,6 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.robot_summary import RobotState
 from rsb_bridge.model.snapshot import State
-from rsb_console.command.demo import HOW_TO_END
 from rsb_console.command.headless import Signals
 from rsb_console.command.local_commands import can_draw
 from rsb_console.command.shell import (
@@ -30,8 +29,9 @@ from rsb_console.command.shell import (
     print_line,
 )
 from rsb_console.command.ways import ways
-from rsb_console.session.demo_session import SimulatedPart, need_ros, own_domain
-from rsb_console.simulated.processes import ProcessError
+from rsb_extras.demo.demo_command import HOW_TO_END
+from rsb_extras.demo.demo_session import SimulatedPart, need_ros, own_domain
+from rsb_extras.demo.processes import ProcessError
 from rsb_extras.fleet.fleet import Memory, RobotFleet
 from rsb_extras.fleet.server_source import ServerFleet
 from rsb_extras.fleet.simulated_fleet import WITH_BATTERY, fleet, listening

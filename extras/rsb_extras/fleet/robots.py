@@ -1,7 +1,7 @@
 """Robots in one process, each with its own bridge: ``python -m rsb_extras.fleet.robots LOAD SESSION...``.
 
 LOAD is the JSON of a `RobotTraffic`. The bridges are the real ones, over real sockets; their ROS is a stand-in
-(`rsb_bridge.ros.stand_in`). A bridge with operators in its session is served on the socket ``NAME.sock`` in its file's
+(`rsb_extras.demo.stand_in`). A bridge with operators in its session is served on the socket ``NAME.sock`` in its file's
 folder. The process takes commands as lines, answers with lines of JSON, and ends with its standard input:
 
 - ``look`` answers with a `RobotRecords`.
@@ -24,7 +24,7 @@ from rsb_bridge.config.session_file import load
 from rsb_bridge.control.bridges import serve
 from rsb_bridge.engine import Engine
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.ros.stand_in import Metronome, StandIn, Talk
+from rsb_extras.demo.stand_in import Metronome, StandIn, Talk
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

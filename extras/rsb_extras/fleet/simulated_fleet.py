@@ -16,10 +16,10 @@ from rsb_bridge.config import session_file
 from rsb_bridge.config.file_form import as_said, with_types
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.model.session import Client, Operator, Session, Topic, session_keys
-from rsb_bridge.ros.stand_in import Talk
-from rsb_console.session.demo_session import free_port
-from rsb_console.simulated import processes
-from rsb_console.simulated.processes import READY_WITHIN, Process, ProcessError
+from rsb_extras.demo import processes
+from rsb_extras.demo.demo_session import free_port
+from rsb_extras.demo.processes import READY_WITHIN, Process, ProcessError
+from rsb_extras.demo.stand_in import Talk
 from rsb_extras.fleet.robots import RobotRecord, RobotRecords, RobotTraffic
 
 if TYPE_CHECKING:

@@ -9,11 +9,12 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import msgspec
-from textual.keys import Keys, _character_to_key, key_to_character
+from textual.keys import Keys, key_to_character
 
 from rsb_bridge.model.text import is_clean, join_first
 from rsb_bridge.model.wording import Wording
 from rsb_console.actions.action import Action, Group, late
+from rsb_console.library_internals.textual_internals import key_of
 from rsb_console.notation.console_setting import ConsoleSetting
 
 if TYPE_CHECKING:
@@ -144,7 +145,7 @@ def read_commands(given: object) -> tuple[OwnCommand, ...]:
 
 
 def _read_command(key: str, fields: object) -> OwnCommand:
-    name = _character_to_key(key) if len(key) == 1 else key
+    name = key_of(key) if len(key) == 1 else key
     last = name.rpartition("+")[2]
     if name not in _NAMED_KEYS and last not in _NAMED_KEYS and key_to_character(last) is None:
         raise ValueError(CommandMistake.NO_KEY(key=key))

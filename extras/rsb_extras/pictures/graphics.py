@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from textual.geometry import Region
 
+from rsb_console.library_internals.textual_image_internals import sixels_of
 from rsb_extras.pictures.picture_rows import rgb_of
 
 if TYPE_CHECKING:
@@ -191,9 +192,7 @@ def kitty_freed(image_id: int) -> str:
 
 
 def sixels(image: Image) -> str:
-    from textual_image._sixel import image_to_sixels  # noqa: PLC0415 -- its public modules ask the terminal
-
-    return _DEFINED_COLOUR.sub(r"\g<0>#\1", image_to_sixels(image))
+    return _DEFINED_COLOUR.sub(r"\g<0>#\1", sixels_of(image))
 
 
 class Painter:

@@ -17,8 +17,8 @@ from textual.geometry import Region
 from textual.message import Message as TextualMessage
 from textual.strip import Strip
 from textual.widget import Widget
-from textual.widgets._toast import Toast, ToastRack
 
+from rsb_console.library_internals.textual_internals import Toast, ToastRack, entitle
 from rsb_console.screens.dialog import FullScreen
 from rsb_console.widgets.lines import LOOK_CLASSES, yield_gil
 from rsb_extras.pictures.graphics import USUAL_CELL, Extent, Painter, bands_of, frame_of
@@ -223,7 +223,7 @@ class PicturePane(Widget, can_focus=True):
             return
         self._title = title
         if self.is_mounted:
-            self._border_title = Content(title)  # Textual's public attribute would have all rows drawn
+            entitle(self, Content(title))
             self.refresh(Region(0, -1, self.size.width, 1))
         else:
             self.border_title = Content(title)

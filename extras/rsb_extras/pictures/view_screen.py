@@ -11,6 +11,7 @@ from textual.containers import Container
 from textual.geometry import Size, Spacing
 
 from rsb_bridge.model.wording import Wording
+from rsb_console.library_internals.textual_internals import DrawsChangesOnly
 from rsb_console.screens.dialog import FullScreen, SideBox
 from rsb_console.terminal.input_queue import DIALOG
 from rsb_console.widgets.form import Field, FormScreen, Spec
@@ -65,7 +66,7 @@ class _NameScreen(FormScreen[str]):
         return values["name"]
 
 
-class ViewScreen(FullScreen[bool]):
+class ViewScreen(FullScreen[bool], DrawsChangesOnly[bool]):
     """Shows tiles until it is closed. The result is true if messages are to be shown in another way.
 
     Attributes:
@@ -119,16 +120,6 @@ class ViewScreen(FullScreen[bool]):
 
     def on_resize(self) -> None:
         self.call_after_refresh(self._lay_out)
-
-    def _compositor_refresh(self) -> None:
-        """Draw what has changed.
-
-        For a screen below a box, Textual then draws all of it once more: each picture of a map would take the camera's
-        sixels away.
-        """
-        super()._compositor_refresh()
-        if self is not self.app.screen:
-            self._repaint_required = False
 
     # -- layout -------------------------------------------------------------------------------------------------------
 

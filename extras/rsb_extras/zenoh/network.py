@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 from rsb_bridge.model.budgets import Strangers
 from rsb_bridge.model.wording import Wording
+from rsb_bridge.python_internals.threading_internals import before_waiting_for_threads
 from rsb_bridge.tasks import in_thread
 from rsb_bridge.transport import tcp
 from rsb_bridge.transport.streams import StreamHandler, StreamProblem
@@ -608,8 +609,7 @@ def _close_now(session: zenoh.Session) -> None:
         watcher.join(_CLOSE_WITHIN)
 
 
-# As concurrent.futures does: `atexit` comes after the wait for threads, and Zenoh has each callback on one of its own.
-threading._register_atexit(_close_all)  # type: ignore[attr-defined]
+before_waiting_for_threads(_close_all)  # Zenoh has each callback on a thread of its own
 
 
 def _close(session: zenoh.Session, *, wait: bool) -> None:

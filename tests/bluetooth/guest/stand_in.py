@@ -17,6 +17,7 @@ from functools import partial
 from typing import NamedTuple
 
 from rsb_bridge.model.qos import Qos
+from rsb_bridge.ros.no_ros import NoRos
 from rsb_bridge.ros.ros_interface import (
     Endpoint,
     Liveliness,
@@ -30,7 +31,6 @@ from rsb_bridge.ros.ros_interface import (
     TopicSpec,
 )
 from rsb_bridge.ros.ros_thread import RosTurns
-from rsb_bridge.ros.stand_in import NoRos
 
 TYPE, HASH = "std_msgs/msg/String", "RIHS01_" + 64 * "0"
 SERVICE_TYPE, SERVICE_HASH = "std_srvs/srv/Trigger", f"{HASH}+{HASH}"

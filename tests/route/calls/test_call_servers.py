@@ -11,8 +11,8 @@ import pytest
 from rsb_bridge.model.calls import LANES
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.verdict import Cause
+from rsb_bridge.ros.no_ros import NoRos
 from rsb_bridge.ros.ros_interface import Endpoint
-from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.route.calls.call_servers import Provision, UnavailableError, provision
 from rsb_bridge.wire.records import LaneEntry
 

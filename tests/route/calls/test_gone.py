@@ -12,8 +12,8 @@ from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Stage
 from rsb_bridge.model.verdict import Cause
+from rsb_bridge.ros.no_ros import NoRos
 from rsb_bridge.ros.ros_interface import Endpoint
-from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.route.calls.provider import Provider
 from rsb_bridge.wire.headers import CallFrame, What
 from rsb_bridge.wire.records import VerdictRecord

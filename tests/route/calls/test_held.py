@@ -12,9 +12,9 @@ from tests.support.offline import half_of
 from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL, Refused
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
+from rsb_bridge.ros.no_ros import NoRos
 from rsb_bridge.ros.ros_interface import Endpoint
 from rsb_bridge.ros.ros_thread import RosTurns
-from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.route.calls.action_goals import CallerGoals
 from rsb_bridge.route.calls.asked_calls import CallerCall
 from rsb_bridge.route.calls.caller import Caller

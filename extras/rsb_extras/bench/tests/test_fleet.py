@@ -19,7 +19,7 @@ from rsb_bridge.cdr.description import read_description
 from rsb_bridge.cdr.known_types import BATTERY_STATE, STRING, STRING_HASH
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.ros_interface import RawMessage, TopicSpec
-from rsb_bridge.ros.stand_in import StandIn, Talk
+from rsb_extras.demo.stand_in import StandIn, Talk
 from rsb_extras.fleet.simulated_fleet import USUAL
 
 if TYPE_CHECKING:

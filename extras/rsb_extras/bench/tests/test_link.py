@@ -21,7 +21,7 @@ from rsb_bridge.engine import Engine
 from rsb_bridge.link.extension import LinkError
 from rsb_bridge.model.session import Client, Session
 from rsb_bridge.model.snapshot import State
-from rsb_bridge.ros.stand_in import NoRos
+from rsb_bridge.ros.no_ros import NoRos
 from rsb_bridge.wire.framing import MORE, ZSTD
 from rsb_extras.bench import LIMITS, BenchmarkLimits
 from rsb_extras.bench.benchmark import BENCH, ENDED_BY_PEER, Bench, BenchmarkStep

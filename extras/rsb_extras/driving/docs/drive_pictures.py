@@ -9,7 +9,7 @@ from docs.screenshots import FLOWING, NARROW, Album, states, until, words_of
 
 from rsb_console.app import ConsoleApp
 from rsb_console.screens.dialog import ArmScreen
-from rsb_console.session.demo_session import running_demo
+from rsb_extras.demo.demo_session import running_demo
 from rsb_extras.driving.drive_screen import DriveScreen
 
 if TYPE_CHECKING:

@@ -21,9 +21,9 @@ from tests.support.waiting import eventually
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.robot_summary import RobotState, RobotSummary
 from rsb_console.child import ChildProcess
-from rsb_console.command.demo import HOW_TO_END
 from rsb_console.command.headless import Signals, bridge_until_told
-from rsb_console.session.demo_session import SimulatedPart, own_domain
+from rsb_extras.demo.demo_command import HOW_TO_END
+from rsb_extras.demo.demo_session import SimulatedPart, own_domain
 from rsb_extras.fleet import fleet_demo as demo
 from rsb_extras.fleet.fleet import Robot
 from rsb_extras.fleet.tests import fleet_places

@@ -10,7 +10,7 @@ from docs.screenshots import FLOWING, NARROW, Album, states, until
 
 from rsb_bridge.model.snapshot import State
 from rsb_console.app import ConsoleApp
-from rsb_console.session.demo_session import running_demo
+from rsb_extras.demo.demo_session import running_demo
 from rsb_extras.pictures.look_screen import LookScreen
 from rsb_extras.pictures.picture import Series
 from rsb_extras.pictures.picture_tile import PictureTile

@@ -1,0 +1,1 @@
+"""Private parts of Python's own library. They are used here alone; `tests/checks/test_internals.py` tests each."""

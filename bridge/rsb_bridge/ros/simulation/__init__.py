@@ -1,1 +1,0 @@
-"""The demo's simulated robot, its rooms, and its desk."""

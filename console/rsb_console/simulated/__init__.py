@@ -1,1 +1,0 @@
-"""Simulated fleets: what ``rsb-console demo --fleet`` runs, and bench/ builds on."""

@@ -1,0 +1,40 @@
+"""Demo: a simulated robot and its desk, bridged on this machine; and what plays fleets of robots for measuring."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rsb_bridge.feature import Feature
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from rsb_console.actions.action import Action
+    from rsb_console.command.remote_arguments import AddCommand, Complete
+
+
+class DemoFeature(Feature):
+    name = "demo"
+
+    def subcommands(self, add: AddCommand, complete: Complete) -> None:
+        from rsb_console.command.argument_values import seconds  # noqa: PLC0415 -- `Feature` says why
+        from rsb_console.command.remote_arguments import subcommand  # noqa: PLC0415
+
+        summary = "bridge two ROS domains on this machine, with a simulated robot"
+        parser = add("demo", subcommand("rsb_extras.demo.demo_command:demo"), summary, after="bt-scan")
+        parser.add_argument("--no-ui", action="store_true", help="print the log, without the console")
+        parser.add_argument("--seconds", type=seconds, metavar="N", help="stop after N s")
+
+    def actions(self) -> Iterable[Action]:
+        from rsb_console.actions.action import Action, Beginning, Group, late  # noqa: PLC0415
+
+        about = "a simulated robot, bridged on this machine"
+        demo = Action(
+            "demo", "f4", "demo", "Run the demo: a simulated robot on this machine", Group.SESSION,
+            changes=True, after="new_session", run=late("rsb_extras.demo.another_demo:demo"),
+            begins=Beginning("d", "Demo", about, 1, writes=False),
+        )  # fmt: skip
+        return (demo,)
+
+
+FEATURE = DemoFeature()
