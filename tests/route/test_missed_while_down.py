@@ -33,7 +33,7 @@ class NumberedGraph(Graph):
     numbers: PublicationNumbers
     published = 0
 
-    def subscribe(self, spec: object, sink: Any, *rest: Any) -> Any:
+    def subscribe(self, spec: object, sink: Any, *rest: Any, **_: Any) -> Any:
         *_, self.numbers = rest
         self.numbers.begin(frozenset({FIRST}))
         return super().subscribe(spec, sink)

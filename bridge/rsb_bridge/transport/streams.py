@@ -15,6 +15,7 @@ from rsb_bridge.transport.descriptors import MORE_DESCRIPTORS
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from rsb_bridge.transport.joined_writes import JoinedWrites
     from rsb_bridge.transport.multipath import Subflow
 
 Address: TypeAlias = tuple[Any, ...]
@@ -118,6 +119,7 @@ class Stream(asyncio.Protocol):
         received_at: time (s, on the loop's clock) of the last bytes, or of the connection.
         sent_bytes: so far, including bytes that still wait.
         when_gone: called when its descriptor is free again, which may be a while after `close`, or None.
+        joined: holds what is written while several topics' messages are on their way to it, or None.
         address: of the other end.
         own_address: host or adapter of this end, or empty if unknown.
     """
@@ -133,6 +135,7 @@ class Stream(asyncio.Protocol):
         self.address: Address = ("?", 0)
         self.own_address = ""
         self.when_gone: Callable[[], None] | None = None
+        self.joined: JoinedWrites | None = None
         self._transport: asyncio.Transport | None = None
         self._now: Callable[[], float] = float  # until it is connected
         self._reason = NO_REASON
@@ -149,12 +152,22 @@ class Stream(asyncio.Protocol):
         """
         if self._transport is not None and not self._closing and not self._transport.is_closing():
             self.sent_bytes += len(data)
+            if self.joined is not None and self.joined.is_open:
+                self.joined.hold(self, data)
+            else:
+                self._transport.write(data)
+
+    def send_held(self, data: bytearray) -> None:
+        """Send what `joined` has held."""
+        if self._transport is not None and not self._transport.is_closing():
             self._transport.write(data)
 
     def close(self, reason: str = _CLOSED_HERE) -> None:
         """Send what waits, then close; a peer that takes nothing is not waited for longer than 2 s."""
         if self._transport is None or self._closing:
             return
+        if self.joined is not None:
+            self.joined.send(self)
         # While reading is paused, the peer's end would not show. Not later: a stream that closes is not resumed.
         self.resume_reading()
         self._closing = True
