@@ -42,8 +42,7 @@ KEYS: Final[dict[Kind, dict[str, str]]] = {
         "expected_rate": "expected_rate", "stale_after": "stale_after", "late_after": "late_after",
         "max_age": "max_age", "paused": "paused", "arm": "arm", "deadman": "deadman", "on_end": "on_end",
         "limits": "limits", "priority": "priority", "keep": "keep", "lazy": "lazy", "renew": "renew",
-        "beat": "beat",
-        "except": "excepts",
+        "express": "express", "beat": "beat", "except": "excepts",
     },
     "service": {
         "service": "topic", "provider": "direction", "type": "type", "timeout": "timeout", "protocol": "protocol",
@@ -86,6 +85,7 @@ _NOT_OF_CALLS = {
     "beat": ForeignKey.OF_TOPICS_ONLY(),
     "lazy": ForeignKey.OF_TOPICS_ONLY(),
     "renew": ForeignKey.OF_TOPICS_ONLY(),
+    "express": ForeignKey.OF_TOPICS_ONLY(),
     "priority": ForeignKey.PRIORITY_OF_CALLED(),
 }
 

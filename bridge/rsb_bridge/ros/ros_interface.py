@@ -285,8 +285,8 @@ class RouteEnds(Protocol):
         A message that a publisher of the same `origin` on this node published is never yielded: that keeps a topic
         bridged both ways over one link from looping. A subscription that fails later closes itself and calls
         `on_failure`; it is never called for one that was closed. `numbers` goes on with each subscription of a user to
-        the topic, one at a time, and counts what none of them took. What is `express` is taken at once, or else together
-        with other topics' messages where there are many (`rsb_bridge.ros.turn_pacing`).
+        the topic, one at a time, and counts what none of them took. What is `express` is taken at once, or else with
+        other topics' messages where there are many (`rsb_bridge.ros.turn_pacing`).
 
         Raises:
             RosError: no such type and no hash, an rmw that cannot do without the type, a bad name.

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.ros.turn_pacing import TurnPacing
-from rsb_bridge.transport.joined_writes import JoinedWrites
+from rsb_bridge.transport.streams import JoinedWrites
 
 if TYPE_CHECKING:
     import asyncio

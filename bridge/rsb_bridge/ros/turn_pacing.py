@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import math
 
-APART = 0.004
-"""s between two turns at the most, unless a session says otherwise (`pace`): a robot's 100 topics at 10 Hz cost 0.66 of
-what they do at once, and are 2.9 ms late (bench/README.md, *Turns apart*)."""
+from rsb_bridge.model.limits import APART
+
 _OFTEN = 0.005
 """s between two turns below which the next ones move apart: more than `APART`, so that they stay apart then."""
 _GROWS, _SHRINKS = 0.0005, 0.001

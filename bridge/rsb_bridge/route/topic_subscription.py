@@ -254,7 +254,7 @@ class TopicSubscription:
     def _is_express(self, spec: TopicSpec) -> bool:
         """Whether messages are taken as they come: also where few are kept until then, or others' clocks follow."""
         shallow = spec.qos.history == "keep_last" and 0 < spec.qos.depth < _SHALLOW
-        return shallow or self._route.arming.required or spec.type_name == CLOCK
+        return shallow or self._route.proposal.express or self._route.arming.required or spec.type_name == CLOCK
 
     def _changed(self) -> None:
         self._route.wake()

@@ -15,7 +15,6 @@ from rsb_bridge.transport.descriptors import MORE_DESCRIPTORS
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from rsb_bridge.transport.joined_writes import JoinedWrites
     from rsb_bridge.transport.multipath import Subflow
 
 Address: TypeAlias = tuple[Any, ...]
@@ -28,6 +27,7 @@ _STRANGER_READS = 4096  # bytes that are read at a time from a stranger, so that
 # Bytes that are read at a time from a peer that has proven its key: as much as asyncio does. Smaller reads gained
 # nothing (bench/README.md, *Where the time goes*).
 _READS = 256 * 1024
+_HELD = 64 * 1024  # bytes that are held at the most: the kernel hands no more to a network card at a time (GSO)
 _LINGER = 2.0  # s, of the protocol (PROTOCOL.md, 1)
 _IN_VAIN = 4  # times, which take 2.4 s at least: by then a path that loses every third packet counts as lossy
 
@@ -105,6 +105,39 @@ class OpenNetworkTransport(asyncio.Transport):
 
     def authenticate(self, secret: bytes, *, opener: bool) -> None:
         raise NotImplementedError
+
+
+class JoinedWrites:
+    """Holds writes of one moment, so that each stream sends them by one call. The other side is woken once, too.
+
+    Attributes:
+        is_open: whether streams hand over what they are to write. Only during a call of the I/O loop.
+    """
+
+    def __init__(self) -> None:
+        self.is_open = False
+        self._held: dict[Stream, bytearray] = {}
+
+    def hold(self, stream: Stream, data: bytes | memoryview) -> None:
+        """Hold what is written to a stream."""
+        held = self._held.get(stream)
+        if held is None:
+            held = self._held[stream] = bytearray()
+        held += data
+        if len(held) >= _HELD:
+            self.send(stream)
+
+    def send(self, stream: Stream) -> None:
+        """Send what is held of a stream."""
+        held = self._held.pop(stream, None)
+        if held is not None:
+            stream.send_held(held)
+
+    def send_all(self) -> None:
+        """Send all that is held."""
+        while self._held:
+            stream, held = self._held.popitem()
+            stream.send_held(held)
 
 
 class Stream(asyncio.Protocol):
