@@ -27,7 +27,7 @@ from textual.drivers import linux_driver
 from rsb_bridge.config.session_file import load
 from rsb_bridge.model.session import Topic
 from rsb_console.notation.ascii_signs import prefers_ascii
-from rsb_console.terminal.driver import ConsoleDriver
+from rsb_console.terminal.driver import ConsoleDriver  # noqa: F401 — it gives Textual the decoder
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
 CHATTER = f"/console_{os.getpid()}/terminal"
@@ -378,7 +378,6 @@ def test_what_libraries_print_is_kept_off_the_picture(tmp_path: Path) -> None:
 
 
 def test_bytes_that_are_no_utf8_are_left_out() -> None:
-    assert ConsoleDriver  # whose module gives Textual the decoder
     read = vars(linux_driver)["getincrementaldecoder"]("utf-8")()
     assert read.decode(b"a\xffb") == "a\N{REPLACEMENT CHARACTER}b"
 
