@@ -53,7 +53,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
     from tests.network.hosts import Host
-    from tests.network.outage_bed import Record
+    from tests.network.outage_bed import Fault, Record
 
 _TOOLS = {"ip": "iproute2", "ss": "iproute2", "nft": "nftables", "conntrack": "conntrack"}
 _NEVER = "never"
@@ -143,7 +143,7 @@ def main() -> None:
     for number in range(options.rounds):
         for transport in transports:
             for fault in faults:
-                if transport == PLAIN and not FAULTS[fault].plain:
+                if not _happens(FAULTS[fault], transport):
                     continue
                 words = f"{transport}, {FAULTS[fault].words}, round {number + 1}"
                 folder = options.record / f"{transport}-{fault}-{number + 1}" if options.record else None
@@ -160,6 +160,11 @@ def main() -> None:
         _print(transport, [each for each in outcomes if each.transport == transport])
     if failures:
         raise SystemExit("\n".join(["not measured:", *failures]))
+
+
+def _happens(fault: Fault, transport: str) -> bool:
+    """Whether a fault can happen to a transport: Zenoh's routers choose the way, and no session has two of them."""
+    return fault.plain if transport == PLAIN else not (fault.two_ways and transport == "zenoh")
 
 
 def _known(names: str, allowed: Iterable[str]) -> list[str]:

@@ -61,7 +61,7 @@ class Ros(NoRos):
     def publishers(self, topic: str) -> list[Endpoint]:
         return [Endpoint("/talker", _TYPE, _HASH, Qos(), _GID)] if self._talks and topic in _TOPICS else []
 
-    def subscribe(self, spec: TopicSpec, sink: Any, *_: Any) -> Any:
+    def subscribe(self, spec: TopicSpec, sink: Any, *_: Any, **__: Any) -> Any:
         made = Subscription(sink)
         if spec.topic in _TOPICS:
             self.subscriptions_now[spec.topic] = made

@@ -21,7 +21,7 @@ from tests.support.waiting import eventually, holds
 
 from rsb_bridge.engine.io_loop import IoLoop
 from rsb_bridge.model.session import Topic
-from rsb_bridge.ros.ros_thread import RosToLoopQueue
+from rsb_bridge.ros.ros_thread import RosToLoopQueue, RosTurns
 
 
 def wants_its_turn(loop: IoLoop) -> bool:
@@ -379,3 +379,21 @@ def test_bridge_keeps_order_while_threads_change_all_time(
     assert any(visits)
     assert heard(there, len(sent)) == sent
     holds(lambda: len(there.payloads) == len(sent), 0.1)
+
+
+def test_one_turn_is_handed_on_at_once(loop: IoLoop) -> None:
+    """What is express does not wait for the rest of the turn, and takes along what came before it."""
+    turns, received = RosTurns(), Numbers()
+    queue = RosToLoopQueue(loop, loop.do_now, turns)
+    with in_a_callback(loop):
+        pass
+    turns.gathers = True
+    queue.put(received, [1])
+    queue.put(received, [2])
+    assert received.numbers == []
+    queue.put(received, [3], express=True)
+    eventually(lambda: received.numbers == [1, 2, 3])
+    queue.put(received, [4])
+    assert received.numbers == [1, 2, 3]
+    turns.gathered()
+    eventually(lambda: received.numbers == [1, 2, 3, 4])

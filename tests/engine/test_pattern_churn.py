@@ -54,7 +54,7 @@ class Ros(NoRos):
         gid = self.present.get(topic)
         return [Endpoint("/talker", TYPE, HASH, Qos(), gid)] if gid else []
 
-    def subscribe(self, spec: TopicSpec, sink: Any, *_: Any) -> Any:
+    def subscribe(self, spec: TopicSpec, sink: Any, *_: Any, **__: Any) -> Any:
         made = self.subscribed[spec.topic] = Subscription(sink)
         return made
 

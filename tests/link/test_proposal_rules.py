@@ -104,7 +104,19 @@ changes: st.SearchStrategy[dict[str, Any]] = st.lists(
             *((name, FIELDS[name]) for name in ("max_rate", "expected_rate", "stale_after", "late_after", "max_age")),
             *(
                 (name, FIELDS[name])
-                for name in ("arm", "deadman", "on_end", "limits", "keep", "lazy", "renew", "beat", "timeout", "kind")
+                for name in (
+                    "arm",
+                    "deadman",
+                    "on_end",
+                    "limits",
+                    "keep",
+                    "lazy",
+                    "renew",
+                    "express",
+                    "beat",
+                    "timeout",
+                    "kind",
+                )
             ),
             ("priority", st.sampled_from([-1, 0, 1, 2])),
         ]

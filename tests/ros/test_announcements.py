@@ -79,7 +79,13 @@ class FakeRos(NoRos):
         return self.announcers if topic == ANNOUNCEMENT_TOPIC else []
 
     def subscribe(
-        self, spec: TopicSpec, sink: Sink, origin: Hashable, on_failure: OnFailure | None = None, numbers: object = None
+        self,
+        spec: TopicSpec,
+        sink: Sink,
+        origin: Hashable,
+        on_failure: OnFailure | None = None,
+        numbers: object = None,
+        **_: object,
     ) -> Any:
         self.sink, self.fail = sink, on_failure
         self.subscribed += 1

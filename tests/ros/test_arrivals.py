@@ -83,6 +83,37 @@ def test_message_is_reported_though_rmw_missed_it(
     writer.close()
 
 
+@pytest.mark.parametrize("told", ["events"], indirect=True)
+@pytest.mark.usefixtures("told")
+def test_only_what_is_express_ends_a_rest(participant: Participant, other: Participant) -> None:
+    ordinary = participant.create_reader(strings("/ordinary"))
+    express = participant.create_reader(strings("/express"), express=True)
+    writers = [other.create_writer(strings(reader.topic)) for reader in (ordinary, express)]
+    for reader in (ordinary, express):
+        participant.arrivals.add(reader)
+    eventually(lambda: all(each.matched for each in writers))
+    while participant.wait(0.0, 0.01)[0]:
+        pass
+
+    def publish(*which: int) -> None:
+        for each in which:
+            writers[each].publish(PAYLOAD)
+            eventually(lambda each=each: writers[each].acknowledged)
+
+    publish(0)
+    began = time.monotonic()
+    assert participant.wait(0.0, 0.3)[0] == [ordinary.handle.address]
+    assert time.monotonic() - began >= 0.3
+    publish(0, 1)
+    assert participant.wait(0.0, 600.0)[0] == [express.handle.address, ordinary.handle.address]
+    participant.wake()
+    assert participant.wait(0.0, 600.0)[0] == []
+    for each in (ordinary, express):
+        participant.free(each)
+    for writer in writers:
+        writer.close()
+
+
 @pytest.mark.usefixtures("told")
 def test_each_kind_is_reported(participant: Participant, other: Participant) -> None:
     server, client = participant.create_server("/set", SET, ""), other.create_client("/set", SET, "")

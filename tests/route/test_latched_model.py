@@ -73,7 +73,7 @@ class NearDds:
     def installed_hash(self, _: str) -> str:
         return ""
 
-    def subscribe(self, *arguments: Any) -> NearReader:
+    def subscribe(self, *arguments: Any, **_: Any) -> NearReader:
         self.subscribed += 1
         reader = NearReader(self, arguments[1])
         self.readers.append(reader)

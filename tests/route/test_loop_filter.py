@@ -65,7 +65,7 @@ class Graph(NoRos):
     def installed_hash(self, type_name: str) -> str | None:
         return TYPE_HASH
 
-    def subscribe(self, _: object, sink: Any, *__: object) -> Any:
+    def subscribe(self, _: object, sink: Any, *__: Any, **___: Any) -> Any:
         self.sink = sink
 
         class Subscription:

@@ -33,10 +33,10 @@ class NumberedGraph(Graph):
     numbers: PublicationNumbers
     published = 0
 
-    def subscribe(self, spec: object, sink: Any, *rest: Any) -> Any:
-        *_, self.numbers = rest
+    def subscribe(self, _: object, sink: Any, *rest: Any, **__: Any) -> Any:
+        self.numbers = rest[-1]
         self.numbers.begin(frozenset({FIRST}))
-        return super().subscribe(spec, sink)
+        return super().subscribe(_, sink)
 
     def publish(self, count: int, *, heard: bool) -> None:
         for _ in range(count):

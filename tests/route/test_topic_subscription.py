@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from rsb_bridge.route.sending import OutgoingPath
 
 
+STRING = "std_msgs/msg/String"
 LEASE = 2.0
 LEASED = Qos(liveliness="manual_by_topic", liveliness_lease_duration=LEASE)
 
@@ -41,14 +42,15 @@ class FakeRos(NoRos):
     def __init__(self) -> None:
         self.made: list[FakeSubscription] = []
 
-    def subscribe(self, spec: TopicSpec, *_: Any, **__: Any) -> Any:
-        self.made.append(FakeSubscription(spec.qos))
+    def subscribe(self, spec: TopicSpec, *_: Any, express: bool = False) -> Any:
+        self.made.append(FakeSubscription(spec.qos, express=express))
         return self.made[-1]
 
 
 class FakeSubscription:
-    def __init__(self, qos: Qos) -> None:
+    def __init__(self, qos: Qos, *, express: bool) -> None:
         self.qos = qos
+        self.express = express
         self.matched = 1
         self.liveliness = Liveliness(alive=0, unjudged=1)
         self.closed = False
@@ -77,8 +79,8 @@ class Owner:
         self.meter = RateMeter(0.0)
         self.events: list[EventCode] = []
         self.peer = FakePeer()
-        self.arming = SimpleNamespace(required=False)
-        self.proposal = SimpleNamespace(keep=None, qos=None)
+        self.arming = SimpleNamespace(required=False, lease=None)
+        self.proposal = SimpleNamespace(keep=None, qos=None, express=False)
         self.spec = SimpleNamespace(expected_rate=None)
         self.notices = SimpleNamespace(record=lambda text: None)
         self.context: Any = None
@@ -89,13 +91,19 @@ class Owner:
 
 
 def make_subscription(
-    context: Context, owner: Owner, qos: Qos, *, automatic: bool, expected_rate: float | None = None
+    context: Context,
+    owner: Owner,
+    qos: Qos,
+    *,
+    automatic: bool,
+    expected_rate: float | None = None,
+    type_name: str = STRING,
 ) -> TopicSubscription:
     owner.context, owner.ends = context, context.ros
     owner.proposal.qos, owner.spec.expected_rate = None if automatic else qos, expected_rate
     loop_filter: Any = SimpleNamespace(alive_left_out=lambda qos: 0)
     subscription = TopicSubscription(cast("Any", owner), cast("OutgoingPath", Path()), loop_filter, lambda: None)
-    spec = TopicSpec("/fast", "std_msgs/msg/String", "", qos)
+    spec = TopicSpec("/fast", type_name, "", qos)
     subscription.begin(spec, known={})
     subscription.subscribe(missed=False)
     return subscription
@@ -251,3 +259,23 @@ def test_everything_publishers_keep_is_taken(make_context: Callable[..., Context
     latched = Qos(durability="transient_local", depth=1)
     make_subscription(make_context(ros), Owner(), latched, automatic=False)
     assert ros.made[0].qos == Qos(durability="transient_local", history="keep_all", depth=1)
+
+
+@pytest.mark.parametrize(
+    ("express", "armed", "type_name", "qos", "expected"),
+    [
+        (False, False, STRING, Qos(), False),
+        (True, False, STRING, Qos(), True),
+        (False, True, STRING, Qos(), True),
+        (False, False, "rosgraph_msgs/msg/Clock", Qos(), True),
+        (False, False, STRING, Qos(depth=1), True),
+        (False, False, STRING, Qos(history="keep_all", depth=1), False),
+    ],
+)
+def test_what_cannot_wait_is_express(
+    make_context: Callable[..., Context], *, express: bool, armed: bool, type_name: str, qos: Qos, expected: bool
+) -> None:
+    owner, ros = Owner(), FakeRos()
+    owner.proposal.express, owner.arming.required = express, armed
+    make_subscription(make_context(ros), owner, qos, automatic=False, type_name=type_name)
+    assert [each.express for each in ros.made] == [expected]

@@ -60,7 +60,7 @@ class WallClock(Clock):
 class _Queue(RosToLoopQueue):
     """Messages from the ROS side, whose thread never has to wait: it is the loop's own."""
 
-    def put(self, receiver: BatchReceiver[T], batch: Sequence[T]) -> None:
+    def put(self, receiver: BatchReceiver[T], batch: Sequence[T], *, express: bool = False) -> None:
         self._loop.call_soon(receiver.offer, batch)
 
 

@@ -131,6 +131,7 @@ class Node:
         origin: Hashable,
         on_failure: OnFailure | None = None,
         numbers: PublicationNumbers | None = None,
+        **_: object,
     ) -> Reader:
         self._check_type(spec.type_name, spec.type_hash)
         reader = Reader(self._domain, self._name, *spec, self._taking(sink), origin, on_failure, numbers)

@@ -74,6 +74,7 @@ _NOT_OF_CALLS = {
     "beat": ForeignKey.OF_TOPICS_ONLY(),
     "lazy": ForeignKey.OF_TOPICS_ONLY(),
     "renew": ForeignKey.OF_TOPICS_ONLY(),
+    "express": ForeignKey.OF_TOPICS_ONLY(),
     "priority": ForeignKey.PRIORITY_OF_CALLED(),
 }
 

@@ -42,7 +42,7 @@ from rsb_bridge.installed_features import added
 from rsb_bridge.model import transports
 from rsb_bridge.model.by_hand import end_text
 from rsb_bridge.model.demands import local_name
-from rsb_bridge.model.limits import DOMAIN, NAME_BYTES, OUTLIVE, TOPIC_PORT
+from rsb_bridge.model.limits import DOMAIN, NAME_BYTES, OUTLIVE, PACE, TOPIC_PORT
 from rsb_bridge.model.names import is_prefix, well_formed
 from rsb_bridge.model.patterns import is_pattern
 from rsb_bridge.model.qos import AUTO
@@ -67,6 +67,7 @@ class SessionMistake(Wording):
     PORT_MISSING = "missing, or 0: give a {kind}, {range}"
     DOMAIN_INVALID = "{domain} is not a ROS domain: {range}"
     DOMAIN_VARIABLE_INVALID = "ROS_DOMAIN_ID is {value}, which is not a ROS domain: {range}"
+    PACE_OUT_OF_RANGE = "{value} is out of range: {range} s"
     OUTLIVE_OUT_OF_RANGE = "{value} is out of range: {range} s"
     MULTIPATH_UNKNOWN = "a link over {medium} has one way only: leave it out"
     STALE_WARNINGS_NEGATIVE = "{count} is not a count: 0 or more"
@@ -201,6 +202,8 @@ def _session(session: Session) -> Iterator[Problem]:
         yield Problem("stale_warnings", SessionMistake.STALE_WARNINGS_NEGATIVE(count=session.stale_warnings))
     if session.outlive is not None and session.outlive not in OUTLIVE:
         yield Problem("outlive", SessionMistake.OUTLIVE_OUT_OF_RANGE(value=session.outlive, range=OUTLIVE))
+    if session.pace not in PACE:
+        yield Problem("pace", SessionMistake.PACE_OUT_OF_RANGE(value=session.pace, range=PACE))
     if session.multipath and not link.several_ways:
         yield Problem("multipath", SessionMistake.MULTIPATH_UNKNOWN(medium=link.medium))
     profiles = [("profile", session.profile)]

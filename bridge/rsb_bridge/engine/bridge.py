@@ -191,6 +191,7 @@ class Bridge:
         try:
             self.context.announcements.start(self._bridges_changed)
             self._shutdown_watch = self._watch_shutdown()
+            self._set_pace()
             for part in self._parts:
                 part.open()
             await self.role.start()
@@ -503,6 +504,7 @@ class Bridge:
         old = msgspec.structs.replace(self.context.session, armed=self.context.demands.written)
         in_place = (
             (("stale_after", "stale_warnings", "late_after", "check_messages"), self._configure_routes),
+            (("pace",), self._set_pace),
             (("group", "ports", "shared_keys", "outlive"), lambda: None),  # they are read in the session when needed
             (("armed",), self.context.demands.changed),
             (("shutdown_topic",), self._change_shutdown_topic),
@@ -513,6 +515,9 @@ class Bridge:
         ]
         await in_slices(self.role.steps_to(session, keys), steps.append)
         return steps
+
+    def _set_pace(self) -> None:
+        self.context.ros.turns.pacing.longest = self.context.session.pace
 
     def _configure_routes(self) -> None:
         for link in self.role.links():

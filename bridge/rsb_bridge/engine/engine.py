@@ -389,7 +389,7 @@ class Engine(EngineApi):
 
     async def _main(self, ros: RosInterface, domain: int, keys: Keys, started: Future[None]) -> None:
         loop = asyncio.get_running_loop()
-        queue = RosToLoopQueue(loop, loop.do_now if isinstance(loop, IoLoop) else None)
+        queue = RosToLoopQueue(loop, loop.do_now if isinstance(loop, IoLoop) else None, ros.turns)
         context = Context(
             self._file.session,
             domain,

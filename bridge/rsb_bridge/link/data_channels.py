@@ -102,6 +102,7 @@ class DataChannels:
         if link.transport.multiplexed:  # the stream carries the routes of its own port, too, as streams are scarce
             pair = self._pair(link.transport, link.shared_port())
             control.data = pair.add(control.stream, CONTROL_NUMBER, large=True, small=True)
+            control.stream.joined = link.context.ros_queue.joined
 
     def suspend(self, reason: str) -> None:
         """End the lost connection's streams; routes wait for the next. None that has to be armed is open any more."""
@@ -230,6 +231,7 @@ class DataChannels:
             pair = self._pair(transport, port)  # maybe another one: a pair without routes ends with its streams
         pair.kept = not name.port  # the link's own, which stay while no route uses them (PROTOCOL.md, 1.5)
         both = transport.multiplexed
+        stream.joined = self._link.context.ros_queue.joined
         stream.handler = added = pair.add(stream, name.number, large=name.large or both, small=both or not name.large)
         if reason := pair.resume_routes():
             text = f"a data connection broke ({reason.text}) and was opened again; only best-effort messages are lost"

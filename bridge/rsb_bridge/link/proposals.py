@@ -85,6 +85,7 @@ def proposal_of(
         beat=topic.beat or "",
         lazy=topic.lazy,
         renew=topic.renew,
+        express=topic.express,
         timeout=topic.timeout or 0.0,
         features=of_peer(topic.features),
     )
@@ -119,6 +120,7 @@ def topic_of(proposal: Propose) -> Topic:
         beat=proposal.beat or None,
         lazy=proposal.lazy,
         renew=proposal.renew,
+        express=proposal.express,
         timeout=proposal.timeout or None,
         features=_features_of(proposal),
     )

@@ -26,6 +26,10 @@ class Range:
 DOMAIN = Range(0, 232)
 """ROS domains whose ports fit below 65536 (DDSI-RTPS 2.5, section 9.6.1); Fast DDS ends the process beyond them."""
 OUTLIVE = Range(0, 86_400)  # s that a link outlives its connections. A round figure: a day
+PACE = Range(0, 0.02)
+"""s that a turn of the ROS thread may wait for further messages: what a subscription keeps must last for so long."""
+APART = 0.004
+"""s of these, unless a session says otherwise (bench/README.md, *Turns apart*)."""
 SAFE_DOMAIN = Range(0, 101)
 """ROS domains whose ports are clear of Linux's ephemeral range (docs.ros.org, "The ROS_DOMAIN_ID")."""
 PORT = Range(1, 65535)  # TCP and UDP (RFC 9293, section 3.1; RFC 768); 0 lets the kernel choose

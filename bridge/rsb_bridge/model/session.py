@@ -15,6 +15,7 @@ import msgspec
 from rsb_bridge.installed_features import added
 from rsb_bridge.model.by_hand import VelocityLimits, end_text
 from rsb_bridge.model.keep import Keep
+from rsb_bridge.model.limits import APART
 from rsb_bridge.model.patterns import is_pattern
 from rsb_bridge.model.qos import Qos, parse_qos
 from rsb_bridge.model.text import one_line
@@ -140,6 +141,7 @@ class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
     lazy: bool | None = None
     """Whether the sending side subscribes only while somebody on the other side does, or None as the profile says."""
     renew: bool = False  # whether it subscribes anew whenever more subscribe on the other side
+    express: bool = False  # whether its messages are taken and sent at once, and not together with other topics'
     beat: str | None = None
     """The name that topics share whose limits choose the same stamps, or None for none, and of a pattern its own."""
     excepts: tuple[str, ...] = ()
@@ -286,6 +288,7 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     outlive: float | None = None
     """s that topics and calls wait for a link whose connection is lost, unless the peer says less; 0 if they do not, or
     None for the profile's."""
+    pace: float = APART  # s that messages may wait for others to be sent together, while there are many; 0 if none does
     multipath: bool = False  # streams over TCP may use several ways of this machine, where both kernels can
     check_messages: bool = True  # whether what peers send is checked against its type before ROS gets it
     shutdown_topic: str | None = "/shutdown"

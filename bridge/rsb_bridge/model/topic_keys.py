@@ -169,6 +169,9 @@ CORE_KEYS: Final = {key.name: key for key in (
     TopicKey("renew", "switch", kinds="topics", live=True, sentence="renewed for each subscriber",
              label="Renew", help="Subscribes once more for each subscriber on the other side, for publishers that "
                                  "send all to a new subscriber.", options=_SWITCH),
+    TopicKey("express", "switch", kinds="topics", sentence="express",
+             label="Express", help="Its messages are sent at once. Those of other topics wait for each other, "
+                                   "up to 4 ms.", options=_SWITCH),
     TopicKey("compression"),
     TopicKey("arm", "switch",
              label="Must be armed", help="Carries nothing until an operator arms it (key A).", options=_SWITCH),

@@ -7,6 +7,7 @@ A wait set is handed every endpoint at each wait: with 200 quiet ones beside it,
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import os
 import resource
@@ -37,6 +38,9 @@ if TYPE_CHECKING:
     """An endpoint that messages, requests or responses come to. Its `kind` is what it is in a wait set."""
 
 
+_TOLD_ONCE = select.EPOLLIN | select.EPOLLET
+
+
 class Arrivals(Protocol):
     """Waits for endpoints. `wait`, `look_again` and `remove` belong to one thread.
 
@@ -59,13 +63,17 @@ class Arrivals(Protocol):
     def look_again(self, address: int, after: float) -> None:
         """Report an endpoint once more after some time, and not before, as the last look may have left something."""
 
-    def wait(self, longest: float | None) -> tuple[list[int], bool]:
+    def wait(self, longest: float | None, rest: float = 0.0) -> tuple[list[int], bool]:
         """Block until something comes, the graph changes, `wake` is called, or `longest` s are over.
 
         What is quick here is felt by every message and call.
 
+        Args:
+            rest: s that it rests before, unless something comes to an endpoint that is express.
+
         Returns:
-            The addresses of the reported endpoints, and whether a node or an endpoint of the graph came or went.
+            The addresses of the reported endpoints, what is express first, and whether a node or an endpoint of the
+            graph came or went.
         """
 
     def wake(self) -> None:
@@ -126,12 +134,14 @@ class EventArrivals:
         self._changing = threading.Lock()
         self._descriptors: dict[int, int] = {}  # by address
         self._addresses: dict[int, dict[int, None]] = {}  # by descriptor
+        self._urgent: set[int] = set()  # addresses of what is express
         self._kept: set[int] = set()  # descriptors that DDS might still write to
         self._due = _Due()
-        self._epoll = select.epoll()
+        self._epoll, self._express = select.epoll(), select.epoll()
         # The last one is for endpoints where the process has no more.
         self._wake, self._graph, self._spare = (self._descriptor() for _ in range(3))
         self._addresses[self._spare] = {}
+        self._express.register(self._wake, _TOLD_ONCE)
         self._watch = _GraphWatch(context, graph_guard, self._graph)
 
     def add(self, endpoint: Incoming) -> None:
@@ -140,6 +150,9 @@ class EventArrivals:
             descriptor = self._least_used()
             self._descriptors[address] = descriptor
             self._addresses[descriptor][address] = None
+            if endpoint.express:
+                self._urgent.add(address)
+                self._tell_at_once(descriptor)
         if code := ON_ARRIVAL[endpoint.kind](address, EVENTFD_WRITE, descriptor):
             reset_error()
             self._forget(address)
@@ -161,6 +174,7 @@ class EventArrivals:
 
     def _forget(self, address: int) -> None:
         with self._changing:
+            self._urgent.discard(address)
             descriptor = self._descriptors.pop(address)
             addresses = self._addresses[descriptor]
             del addresses[address]
@@ -168,13 +182,16 @@ class EventArrivals:
                 return
             del self._addresses[descriptor]
             self._epoll.unregister(descriptor)
-            os.close(descriptor)
+            os.close(descriptor)  # which takes it out of the other one
 
     def look_again(self, address: int, after: float) -> None:
         self._due.put(address, after)
 
-    def wait(self, longest: float | None) -> tuple[list[int], bool]:
+    def wait(self, longest: float | None, rest: float = 0.0) -> tuple[list[int], bool]:
         due, told = self._due, self._addresses
+        if rest:
+            # What it tells is told once more below, with all that has come meanwhile.
+            self._express.poll(due.within(rest) if due else rest)
         found = self._epoll.poll(due.within(longest) if due else longest)
         addresses = dict.fromkeys(due.take()) if due else {}
         graph_changed = False
@@ -186,7 +203,10 @@ class EventArrivals:
                 graph_changed = True
         # What rests is looked at after that, and so need not be remembered.
         resting = due.resting() if due else ()
-        return [each for each in addresses if each not in resting], graph_changed
+        ready = [each for each in addresses if each not in resting]
+        if self._urgent and len(ready) > 1:
+            ready.sort(key=self._urgent.__contains__, reverse=True)
+        return ready, graph_changed
 
     def wake(self) -> None:
         os.eventfd_write(self._wake, 1)
@@ -196,6 +216,7 @@ class EventArrivals:
         for descriptor in (*self._addresses, self._wake, self._graph):
             os.close(descriptor)
         self._epoll.close()
+        self._express.close()
 
     def _least_used(self) -> int:
         """Return a new descriptor, or else the one that the fewest endpoints have."""
@@ -214,11 +235,15 @@ class EventArrivals:
         # Nobody reads it, and a write that would overflow must not block a thread of DDS.
         descriptor = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         try:
-            self._epoll.register(descriptor, select.EPOLLIN | select.EPOLLET)
+            self._epoll.register(descriptor, _TOLD_ONCE)
         except OSError:
             os.close(descriptor)
             raise
         return descriptor
+
+    def _tell_at_once(self, descriptor: int) -> None:
+        with contextlib.suppress(FileExistsError):  # another endpoint that shares it is express, too
+            self._express.register(descriptor, _TOLD_ONCE)
 
 
 class _GraphWatch:
@@ -263,7 +288,7 @@ class _GraphWatch:
 
 
 class WaitSetArrivals:
-    """Arrivals by a wait set."""
+    """Arrivals by a wait set. It does not rest, as it would rest from what is express, too."""
 
     repeats = True
 
@@ -293,7 +318,7 @@ class WaitSetArrivals:
         if after:  # else it is reported anyway
             self._due.put(address, after)
 
-    def wait(self, longest: float | None) -> tuple[list[int], bool]:
+    def wait(self, longest: float | None, rest: float = 0.0) -> tuple[list[int], bool]:
         resting: set[int] = set()
         if self._due:
             self._due.take()

@@ -128,6 +128,7 @@ class InternalEnds(Generic[SourceT, DrainT]):
         origin: Hashable,
         on_failure: OnFailure | None = None,
         numbers: PublicationNumbers | None = None,
+        **__: object,
     ) -> Subscription:
         key, (make, _) = (spec.topic, origin), self._makers(origin)
         source: SourceT = make(sink, lambda: _forget(self.sources, key, source))

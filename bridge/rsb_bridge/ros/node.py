@@ -208,10 +208,12 @@ class RosNode:
         origin: Hashable,
         on_failure: OnFailure | None = None,
         numbers: PublicationNumbers | None = None,
+        *,
+        express: bool = False,
     ) -> Subscription:
         with self._lock:
             participant = self._joined()
-            reader = participant.create_reader(spec, numbers)
+            reader = participant.create_reader(spec, numbers, express=express)
             key = (reader.topic, origin)
             # It gets the set itself: the messages of publishers that this link makes later are left out, too.
             subscription = _Subscription(reader, spec.qos, sink, on_failure, key, self._own[key], self)
@@ -363,24 +365,32 @@ class RosNode:
 
     @large_blocks_kept()
     def _serve(self, participant: Participant) -> None:
-        turns, arrivals = self.turns, participant.arrivals
+        turns, arrivals, pacing = self.turns, participant.arrivals, self.turns.pacing
         try:
             while self._participant is participant:
                 # Before the wait: what is reported then is there.
                 while self._retired:
                     participant.free(self._retired.popleft())
                 # Unwatched, it waits without end: no timer wakes a quiet side.
-                addresses, graph_changed = participant.wait(LONGEST_WAIT if turns.watched else None)
+                rest = pacing.rest(time.monotonic())
+                addresses, graph_changed = participant.wait(LONGEST_WAIT if turns.watched else None, rest)
                 if turns.watched:
                     turns.turned()
-                for address in addresses:
-                    # A sink of this turn may have closed others, or stopped the node.
-                    drain = self._drains.get(address)
-                    if drain is None or self._participant is not participant:
-                        continue
-                    after = drain.deliver(arrivals.repeats)
-                    if after is not None:
-                        arrivals.look_again(address, after)
+                if addresses:
+                    pacing.turned(time.monotonic())
+                    turns.gathers = len(addresses) > 1
+                try:
+                    for address in addresses:
+                        # A sink of this turn may have closed others, or stopped the node.
+                        drain = self._drains.get(address)
+                        if drain is None or self._participant is not participant:
+                            continue
+                        after = drain.deliver(arrivals.repeats)
+                        if after is not None:
+                            arrivals.look_again(address, after)
+                finally:
+                    if turns.gathers:
+                        turns.gathered()
                 if graph_changed:
                     self._on_graph_change()
         except Exception as error:  # noqa: BLE001 — no error may end the thread unnoticed

@@ -157,7 +157,9 @@ class Participant:
             reset_error()
             raise RosError(f"{node} cannot be asked: {reason_of(error)}") from error
 
-    def create_reader(self, spec: TopicSpec, numbers: PublicationNumbers | None = None) -> Reader:
+    def create_reader(
+        self, spec: TopicSpec, numbers: PublicationNumbers | None = None, *, express: bool = False
+    ) -> Reader:
         """Create a raw subscription.
 
         Raises:
@@ -172,7 +174,7 @@ class Participant:
             qos = msgspec.structs.replace(qos, liveliness_lease_duration=lease)
         handle = self._create("subscription", spec.topic, borrow_type(spec.type_name, spec.type_hash), qos)
         liveliness = LivelinessOfPublishers(handle.rclpy) if lease else None
-        return Reader(handle, self._buffer, earlier, numbers, liveliness)
+        return Reader(handle, self._buffer, earlier, numbers, liveliness, express=express)
 
     def create_writer(self, spec: TopicSpec) -> Writer:
         """Create a raw publisher; errors as `create_reader`.
@@ -204,9 +206,9 @@ class Participant:
             return TypedClient(handle, name, self._untaken, borrowed.type.interface)
         return RawServiceClient(handle, name, self._untaken)
 
-    def wait(self, longest: float | None = None) -> tuple[list[int], bool]:
+    def wait(self, longest: float | None = None, rest: float = 0.0) -> tuple[list[int], bool]:
         """Wait as `Arrivals.wait` does, and try late answers again."""
-        addresses, graph_changed = self.arrivals.wait(_TRY_AGAIN if self._late else longest)
+        addresses, graph_changed = self.arrivals.wait(_TRY_AGAIN if self._late else longest, rest)
         # Before the late answers, which look for their callers in the graph as it is now.
         self._graph_version += graph_changed
         if self._late:

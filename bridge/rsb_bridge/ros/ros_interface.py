@@ -277,13 +277,16 @@ class RouteEnds(Protocol):
         origin: Hashable,
         on_failure: OnFailure | None = None,
         numbers: PublicationNumbers | None = None,
+        *,
+        express: bool = False,
     ) -> Subscription:
         """Subscribe raw, to a type installed here or known by name and hash only.
 
         A message that a publisher of the same `origin` on this node published is never yielded: that keeps a topic
         bridged both ways over one link from looping. A subscription that fails later closes itself and calls
         `on_failure`; it is never called for one that was closed. `numbers` goes on with each subscription of a user to
-        the topic, one at a time, and counts what none of them took.
+        the topic, one at a time, and counts what none of them took. What is `express` is taken at once, or else with
+        other topics' messages where there are many (`rsb_bridge.ros.turn_pacing`).
 
         Raises:
             RosError: no such type and no hash, an rmw that cannot do without the type, a bad name.

@@ -11,6 +11,8 @@ from collections import deque
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from rsb_bridge.model.clock import Clock
+from rsb_bridge.ros.turn_pacing import TurnPacing
+from rsb_bridge.transport.streams import JoinedWrites
 
 if TYPE_CHECKING:
     import asyncio
@@ -46,6 +48,8 @@ class RosTurns:
         at: s, the last turn.
         since: s; what is taken in this turn came after that.
         count: turns that were noted.
+        pacing: when the next turn may be.
+        gathers: whether the thread takes from several endpoints, and what it took is handed on at `gathered`.
     """
 
     def __init__(self, wake: Callable[[], None] | None = None, steady: Callable[[], float] | None = None) -> None:
@@ -55,7 +59,21 @@ class RosTurns:
         self._caught_up_at = 0.0
         self.watched = False
         self.count = 0
+        self.pacing = TurnPacing()
+        self.gathers = False
+        self._gathered: dict[Callable[[], None], None] = {}
         self.at = self.since = float("inf")
+
+    def hand_on_later(self, hand_on: Callable[[], None]) -> None:
+        """Have what was gathered handed on. Called on the ROS thread while it gathers."""
+        self._gathered[hand_on] = None
+
+    def gathered(self) -> None:
+        """Hand on what the thread has gathered."""
+        self.gathers = False
+        while self._gathered:
+            hand_on, _ = self._gathered.popitem()
+            hand_on()
 
     def watch(self, watcher: Hashable) -> None:
         """Have the thread note its turns. May be called again."""
@@ -103,23 +121,39 @@ class RosToLoopQueue:
     """
 
     def __init__(
-        self, loop: asyncio.AbstractEventLoop, do_now: Callable[[Callable[[], object]], bool] | None = None
+        self,
+        loop: asyncio.AbstractEventLoop,
+        do_now: Callable[[Callable[[], object]], bool] | None = None,
+        turns: RosTurns | None = None,
     ) -> None:
         """Begin.
 
         Args:
             do_now: does the loop's work on the calling thread or returns False, or None if the loop has none.
+            turns: of the ROS thread, or None if there is none.
         """
+        self.joined = JoinedWrites()
+        self._turns = turns or RosTurns()
         self._loop = loop
         self._do_now = do_now or (lambda _: False)
-        self._batches: deque[tuple[BatchReceiver[Any], Sequence[Any]]] = deque()
+        self._batches: deque[tuple[BatchReceiver[Any], Sequence[Any], bool]] = deque()
         self._room = threading.Event()
         self._is_full = False  # the ROS thread waits, or is about to
         self._scheduled = False
 
-    def put(self, receiver: BatchReceiver[T], batch: Sequence[T]) -> None:
-        """Called on the ROS thread."""
-        self._batches.append((receiver, batch))
+    def put(self, receiver: BatchReceiver[T], batch: Sequence[T], *, express: bool = False) -> None:
+        """Called on the ROS thread.
+
+        Args:
+            express: whether they are handed on at once, and leave at once with all that waits.
+        """
+        self._batches.append((receiver, batch, express))
+        if self._turns.gathers and not express:
+            self._turns.hand_on_later(self._hand_on)
+        else:
+            self._hand_on()
+
+    def _hand_on(self) -> None:
         if self._do_now(self._drain):
             return
         if not self._scheduled:
@@ -134,11 +168,17 @@ class RosToLoopQueue:
     def _drain(self) -> None:
         # First: a batch that is put in after the last look at the queue schedules a drain of its own.
         self._scheduled = False
+        joined = self.joined
+        joined.is_open = len(self._batches) > 1
         try:
             while self._batches:
-                receiver, batch = self._batches.popleft()
+                receiver, batch, express = self._batches.popleft()
                 receiver.offer(batch)
+                if express:
+                    joined.send_all()
         finally:
+            joined.is_open = False
+            joined.send_all()
             if self._is_full:
                 self._room.set()
             if self._batches:  # a receiver has failed: the others' go on

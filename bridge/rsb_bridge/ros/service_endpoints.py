@@ -179,6 +179,7 @@ class ServiceEndpoint:
     """
 
     kind: Literal["service", "client"]
+    express = True
 
     def __init__(self, handle: Handle, name: str) -> None:
         self.handle = handle

@@ -56,6 +56,7 @@ class Reader:
     Attributes:
         numbers: of its publishers' messages.
         has_more: whether the last take may have left something.
+        express: whether it is taken from at once, also while turns are apart.
     """
 
     kind: Literal["subscription"] = "subscription"
@@ -67,6 +68,8 @@ class Reader:
         earlier: frozenset[bytes] | None,
         numbers: PublicationNumbers | None = None,
         liveliness: LivelinessOfPublishers | None = None,
+        *,
+        express: bool = False,
     ) -> None:
         """Begin to count.
 
@@ -81,6 +84,7 @@ class Reader:
         self.numbers = numbers or PublicationNumbers(time.monotonic)
         self.numbers.begin(earlier)
         self.has_more = False
+        self.express = express
         self._buffer = buffer
         self._info = ctypes.create_string_buffer(INFO_ROOM)
         self._last_size = 0  # bytes that the last message had

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
+from rsb_bridge.cdr.known_types import CLOCK
 from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import LATCHED_DEPTH
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
 # Round figures.
 _LOOKS_EVERY = 1.0  # s, at most, between two looks at who is alive
 _ASKED_ANEW = 10.0, 60.0  # s: most until DDS is first asked again who is alive, least between later questions
+_SHALLOW = 8  # messages that are kept: fewer could be overwritten before a turn that waits (`ros.turn_pacing`)
 _MATCHED_WITHIN = 2  # ticks: DDS matches a publisher that it lists within milliseconds
 
 
@@ -235,8 +237,9 @@ class TopicSubscription:
     ) -> Subscription:
         assert self.spec is not None
         spec = self.spec._replace(qos=self._qos())
+        express = self._is_express(spec)
         self._depth = spec.qos.depth
-        put = partial(self._context.ros_queue.put, receiver)
+        put = partial(self._context.ros_queue.put, receiver, express=express)
         sink: Callable[[Sequence[RawMessage]], None] = put
         arming = self._route.arming
         if arming.required and arming.lease is not None:
@@ -247,7 +250,12 @@ class TopicSubscription:
 
             sink = put_marked
         # What this node publishes for the same peer is left out.
-        return self._route.ends.subscribe(spec, sink, self._route.peer.name, on_failure, numbers)
+        return self._route.ends.subscribe(spec, sink, self._route.peer.name, on_failure, numbers, express=express)
+
+    def _is_express(self, spec: TopicSpec) -> bool:
+        """Whether messages are taken as they come: also where few are kept until then, or others' clocks follow."""
+        shallow = spec.qos.history == "keep_last" and 0 < spec.qos.depth < _SHALLOW
+        return shallow or self._route.proposal.express or self._route.arming.required or spec.type_name == CLOCK
 
     def _changed(self) -> None:
         self._route.wake()

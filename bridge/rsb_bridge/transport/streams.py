@@ -27,6 +27,7 @@ _STRANGER_READS = 4096  # bytes that are read at a time from a stranger, so that
 # Bytes that are read at a time from a peer that has proven its key: as much as asyncio does. Smaller reads gained
 # nothing (bench/README.md, *Where the time goes*).
 _READS = 256 * 1024
+_HELD = 64 * 1024  # bytes that are held at the most: the kernel hands no more to a network card at a time (GSO)
 _LINGER = 2.0  # s, of the protocol (PROTOCOL.md, 1)
 _IN_VAIN = 4  # times, which take 2.4 s at least: by then a path that loses every third packet counts as lossy
 
@@ -106,6 +107,39 @@ class OpenNetworkTransport(asyncio.Transport):
         raise NotImplementedError
 
 
+class JoinedWrites:
+    """Holds writes of one moment, so that each stream sends them by one call. The other side is woken once, too.
+
+    Attributes:
+        is_open: whether streams hand over what they are to write. Only during a call of the I/O loop.
+    """
+
+    def __init__(self) -> None:
+        self.is_open = False
+        self._held: dict[Stream, bytearray] = {}
+
+    def hold(self, stream: Stream, data: bytes | memoryview) -> None:
+        """Hold what is written to a stream."""
+        held = self._held.get(stream)
+        if held is None:
+            held = self._held[stream] = bytearray()
+        held += data
+        if len(held) >= _HELD:
+            self.send(stream)
+
+    def send(self, stream: Stream) -> None:
+        """Send what is held of a stream."""
+        held = self._held.pop(stream, None)
+        if held is not None:
+            stream.send_held(held)
+
+    def send_all(self) -> None:
+        """Send all that is held."""
+        while self._held:
+            stream, held = self._held.popitem()
+            stream.send_held(held)
+
+
 class Stream(asyncio.Protocol):
     """An asyncio protocol that counts bytes, knows both addresses, and has a handler that may be replaced.
 
@@ -118,6 +152,7 @@ class Stream(asyncio.Protocol):
         received_at: time (s, on the loop's clock) of the last bytes, or of the connection.
         sent_bytes: so far, including bytes that still wait.
         when_gone: called when its descriptor is free again, which may be a while after `close`, or None.
+        joined: holds what is written while several topics' messages are on their way to it, or None.
         address: of the other end.
         own_address: host or adapter of this end, or empty if unknown.
     """
@@ -133,6 +168,7 @@ class Stream(asyncio.Protocol):
         self.address: Address = ("?", 0)
         self.own_address = ""
         self.when_gone: Callable[[], None] | None = None
+        self.joined: JoinedWrites | None = None
         self._transport: asyncio.Transport | None = None
         self._now: Callable[[], float] = float  # until it is connected
         self._reason = NO_REASON
@@ -149,12 +185,22 @@ class Stream(asyncio.Protocol):
         """
         if self._transport is not None and not self._closing and not self._transport.is_closing():
             self.sent_bytes += len(data)
+            if self.joined is not None and self.joined.is_open:
+                self.joined.hold(self, data)
+            else:
+                self._transport.write(data)
+
+    def send_held(self, data: bytearray) -> None:
+        """Send what `joined` has held."""
+        if self._transport is not None and not self._transport.is_closing():
             self._transport.write(data)
 
     def close(self, reason: str = _CLOSED_HERE) -> None:
         """Send what waits, then close; a peer that takes nothing is not waited for longer than 2 s."""
         if self._transport is None or self._closing:
             return
+        if self.joined is not None:
+            self.joined.send(self)
         # While reading is paused, the peer's end would not show. Not later: a stream that closes is not resumed.
         self.resume_reading()
         self._closing = True

@@ -130,8 +130,7 @@ def decoders() -> tuple[
 ]:
     """Return the decoders of short and of long control messages. Two threads must not make them at the same time.
 
-    Each fills in what msgspec keeps of the messages' types. Another thread that decodes with types that are half done
-    crashes the process: one time in twenty with four threads and msgspec 0.22.
+    Each fills in what msgspec keeps of the messages' types, and msgspec 0.22 has no lock for that.
     """
     # A long one without `Report`, whose tag the form in parts has: msgspec takes no tag twice.
     long = [each for each in control_messages() if each is not Report]

@@ -128,6 +128,7 @@ class Propose(ControlMessageBase, frozen=True, kw_only=True):
     lazy: bool | None = None
     """Whether the sending side subscribes only while somebody on the other side does, or None by its own profile."""
     renew: bool = False  # whether the sending side subscribes anew when more subscribe on the other one
+    express: bool = False  # whether the sending side sends its messages at once
     purpose: Name = "topic"
     """A name of `rsb_bridge.model.purposes.purposes`; another one is a newer peer's, and refused."""
     features: FeatureValues = {}

@@ -54,6 +54,7 @@ def _values(route: RouteSnapshot, now: float) -> dict[str, object]:
         "beat": route.spec.beat,
         "lazy": route.spec.lazy,
         "renew": route.spec.renew,
+        "express": route.spec.express,
         "limits": limits,
         "features": route.spec.features,
         "qos": _qos_values(route.qos),
@@ -125,7 +126,7 @@ def _carriers(route: RouteSnapshot) -> Iterator[str]:
         yield TOPIC_KEYS["max_age"].described(route.max_age, route.spec.kind)
     if route.spec.kept is not None:
         yield f"keeps {route.spec.kept} for the link"
-    for name in ("beat", "lazy", "renew", *ADDED_KEYS):
+    for name in ("beat", "lazy", "renew", "express", *ADDED_KEYS):
         if (value := value_of(route.spec, name)) is not None and value is not False:
             yield TOPIC_KEYS[name].described(value, route.spec.kind)
     if route.pattern:

@@ -193,7 +193,7 @@ def drain(context: Context, handles: Sequence[Any], take: Callable[[bytes], obje
                 while (taken := handle.take_message(String, True)) is not None:
                     if not taken[0]:
                         # In place of a message that another DDS withdrew, Fast DDS gives one without a byte, and again
-                        # until the next one comes (`bench.withdrawn_message`).
+                        # until the next one comes (docs/support.md).
                         time.sleep(0.001)
                         break
                     take(taken[0])

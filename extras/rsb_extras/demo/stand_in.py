@@ -148,6 +148,7 @@ class StandIn(NoRos):
         origin: Hashable,
         on_failure: OnFailure | None = None,
         numbers: PublicationNumbers | None = None,
+        **_: object,
     ) -> _Reader:
         readers = self._readers.setdefault(spec.topic, [])
         reader = _Reader(sink, readers)

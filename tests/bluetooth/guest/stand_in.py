@@ -125,7 +125,13 @@ class StandIn(NoRos):
         return HASH if type_name == TYPE else None
 
     def subscribe(
-        self, spec: TopicSpec, sink: Sink, origin: Hashable, on_failure: OnFailure | None = None, numbers: object = None
+        self,
+        spec: TopicSpec,
+        sink: Sink,
+        origin: Hashable,
+        on_failure: OnFailure | None = None,
+        numbers: object = None,
+        **_: object,
     ) -> _Subscription:
         self._sinks[spec.topic] = sink
         return _Subscription(self._sinks, spec.topic)

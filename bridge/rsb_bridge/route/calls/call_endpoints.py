@@ -59,7 +59,7 @@ class OpenLane:
         self._name = self._member.name_on(route.local_topic)
         self._is_open = True
         # A partial, as each function between here and the queue would be called with each batch.
-        self._put: Callable[[Sequence[Any]], None] = partial(route.context.ros_queue.put, self)
+        self._put: Callable[[Sequence[Any]], None] = partial(route.context.ros_queue.put, self, express=True)
         with ExitStack() as held:
             use = TypeUse(route.context.ros, route.peer.budget.types)
             use.begin(version.name, version.type_hash, is_service=not self._member.is_topic)

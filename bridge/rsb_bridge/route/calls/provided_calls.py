@@ -66,7 +66,7 @@ class HeardTopic(OpenLane):
             events, node = context.parameter_events, self._route.local_topic
             held.callback(events.listen(spec, link, node, self._put, self._failed).close)
         else:
-            held.callback(context.ros.subscribe(spec, self._put, link, self._failed).close)
+            held.callback(context.ros.subscribe(spec, self._put, link, self._failed, express=True).close)
 
     def offer(self, batch: Sequence[RawMessage]) -> None:
         if self._is_open:

@@ -61,7 +61,7 @@ class QuietRos(NoRos):
         self.instance_id = instance_id
         self.node_name = f"rsb_quiet_{instance_id}"
 
-    def subscribe(self, spec: TopicSpec, *_: object) -> Any:
+    def subscribe(self, spec: TopicSpec, *_: object, **__: object) -> Any:
         assert "bench" not in spec.topic, "DDS hears of it"
         return Endpoint()
 
