@@ -140,6 +140,11 @@ class ScreenWriter:
             self._cells.erases = self._driver.erases
             # Above the first screen, a box: what is below only becomes dim, or is a picture.
             rest_waits = len(self._app.screen_stack) > 1 and self._gave_at < self._rest_waits_until
+            if rest_waits and not any(each.region for each in top.children if not isinstance(each, ToastRack)):
+                # The box has no place yet; its screen has only made all below it dim.
+                self._only_rest_waits = True
+                self._look_in(self._rest_waits_until - self._gave_at)
+                return
             frame = self._cells.next(self.line.most, [*self._ranks()], rest_waits=rest_waits)
             self._write(frame.text, frame.spans)
             self._only_rest_waits = rest_waits and frame.lacks is not None and frame.lacks > LINES
