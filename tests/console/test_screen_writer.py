@@ -19,6 +19,7 @@ from rsb_console.screens.help import KeyList
 from rsb_console.terminal.screen_cells import FIRST, LAST, LINES, USUAL
 from rsb_console.terminal.screen_writer import ScreenWriter
 from rsb_console.terminal.terminal_line import TerminalLine
+from rsb_console.terminal_app import read_styles
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -166,7 +167,7 @@ async def test_styles_of_screens_are_read_before_a_key_opens_one(
     app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Reading all anew with each takes so long that the key seems lost."""
-    app.read_styles()
+    read_styles(app)
     monkeypatch.setattr(app.stylesheet, "reparse", lambda: pytest.fail("all styles are read again"))
     app.push_screen(box := Coloured())
     await until(pilot, lambda: bool(box.query("#box")) and box.is_current, "a box")
