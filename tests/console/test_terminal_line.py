@@ -108,6 +108,19 @@ def test_little_that_passes_at_once_proves_no_fast_line(rate: int) -> None:
     assert latest < 2.5 * FRAME
 
 
+def test_answers_that_wait_together_prove_no_fast_line() -> None:
+    """As while this process gets no processor."""
+    way = Way(1_920)
+    way.play(10.0, 4_000)
+    for _ in range(5):
+        way.go_on(1.0)
+        for _ in range(2):
+            way.write(290)
+            way.now += 0.3
+        way.go_on(STEP)
+    assert way.line.rate < 1.2 * 1_920
+
+
 @pytest.mark.parametrize("trip", [0.0, 0.06, 0.3])
 def test_line_that_became_slower_at_rest_is_noticed_by_the_first_frame(trip: float) -> None:
     way = Way(150_000, trip)

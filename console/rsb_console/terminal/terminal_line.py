@@ -143,7 +143,9 @@ class TerminalLine:
             is_trip = alone and self._is_to_empty and not (self._is_stale and size >= self._telling)
             if self._trip is None or took <= self._trip or is_trip:
                 self._trip, self._trip_seen = min(took, max(_AT_ONCE, took - size / self.rate)), self._at
-            self._learn(size, self._at - max(asked_at + self._trip, self._answered_at))
+            # One that waited in a bunch with the answer before, or in this process, tells nothing.
+            if not self._at - self._answered_at <= _AT_ONCE < took - self._trip:
+                self._learn(size, self._at - max(asked_at + self._trip, self._answered_at))
             self._answered_at = self._at
             # What was written before the question has arrived; of the rest, what a round trip carries does not wait.
             self._in_flight = max(0.0, self._not_answered - self._trip * self.rate)
