@@ -11,7 +11,7 @@ import pytest
 from rich.color import ColorSystem
 from tests.console.driving import NARROW, WIDE, on_main, until
 from tests.support.heights import heights_of
-from textual.geometry import Region
+from textual.geometry import Region, Size
 from textual.screen import ModalScreen
 from textual.widgets import Static
 
@@ -139,6 +139,18 @@ async def test_help_has_its_height_at_once(
     await pilot.pause()
     assert heights == [app.screen.query_one(KeyList).outer_size.height]
     assert heights[0] > app.size.height // 2
+
+
+def test_writer_gives_what_is_left_while_app_ends_without_a_screen() -> None:
+    app: Any = SimpleNamespace(screen_stack=[], size=Size(80, 24), focused=None)
+    line = TerminalLine(rate=float("inf"))
+    driver: Any = SimpleNamespace(line=line, losses=0, is_free=True, erases=False)
+    driver.write_frame = lambda *_, **__: None
+    rows: list[int] = []
+    writer = ScreenWriter(app, driver, ColorSystem.TRUECOLOR, (), lambda spans: rows.extend(y for y, *_ in spans))
+    writer._cells.resize(app.size)
+    writer.give()
+    assert rows
 
 
 def test_line_that_stands_still_is_looked_at_less_often(monkeypatch: pytest.MonkeyPatch) -> None:

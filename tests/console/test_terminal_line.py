@@ -133,6 +133,16 @@ def test_line_that_became_slower_at_rest_is_noticed_by_the_first_frame(trip: flo
     assert latest < 2.5 * FRAME
 
 
+def test_line_is_free_after_an_image_that_no_question_follows() -> None:
+    """Frames alone are followed by one, and none comes while the line is not free."""
+    way = Way(150_000)
+    way.play(10.0, 300_000)
+    way.go_on(10.0)
+    way.line.wrote(20_000)
+    way.go_on(1.0)
+    assert way.line.is_free
+
+
 @pytest.mark.parametrize("rate", [960, 1_920])
 def test_rate_is_learned_where_nothing_answers(rate: int) -> None:
     """Only when the kernel's buffer is full, which then empties first."""

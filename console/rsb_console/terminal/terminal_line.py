@@ -251,7 +251,7 @@ class TerminalLine:
     def is_free(self) -> bool:
         """Whether the next frame may be written."""
         with self._lock:
-            is_tried = self._is_stale and self._not_answered >= self._telling
+            is_tried = self._is_stale and sum(each.size for each in self._asked) >= self._telling
             is_carried = self.late <= (0.0 if self._is_to_empty else _NEXT_AFTER)
             if is_carried and not is_tried and not (self._is_to_empty and self._asked):
                 return True
