@@ -11,6 +11,7 @@ import signal
 import threading
 import traceback
 from enum import Enum
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
@@ -168,23 +169,7 @@ class TerminalApp(OpenApp[ReturnType]):
         if isinstance(self.driver_now, ConsoleDriver):
             self.input_gate.pulse = self.driver_now.pulse
             self.set_interval(ASKED_EVERY, self._look_at_terminal)
-            self.set_timer(_PREPARES_AFTER, self._prepare)
-
-    def _prepare(self) -> None:
-        """Do what would hold up the first key that opens a box: 0.2 s of a core, on a busy machine a second."""
-        self.read_styles()
-        gc.collect()
-        gc.freeze()  # a collection of everything holds up a key for 0.07 s
-
-    def read_styles(self) -> None:
-        """Read the styles of all screens. With those of each new one, Textual reads all again."""
-        kinds: list[type[Screen[Any]]] = [Screen]
-        for kind in kinds:
-            kinds += kind.__subclasses__()
-            if vars(kind).get("CSS"):
-                place, scope = (inspect.getfile(kind), f"{kind.__name__}.CSS"), style_scope(kind)
-                self.stylesheet.add_source(kind.CSS, read_from=place, scope=scope if kind.SCOPED_CSS else "")
-        self.stylesheet.update(self)
+            self.set_timer(_PREPARES_AFTER, partial(_prepare, self))
 
     def _look_at_terminal(self) -> None:
         if isinstance(self.driver_now, ConsoleDriver):
@@ -412,6 +397,24 @@ class TerminalApp(OpenApp[ReturnType]):
             remove_file(path)  # one of before may be open to others
             with open(path, "w", encoding="utf-8", opener=owner_only) as file:
                 file.write(several_lines(traceback.format_exc()))
+
+
+def _prepare(app: App[Any]) -> None:
+    """Do what would hold up the first key that opens a box: 0.2 s of a core, on a busy machine a second."""
+    read_styles(app)
+    gc.collect()
+    gc.freeze()  # a collection of everything holds up a key for 0.07 s
+
+
+def read_styles(app: App[Any]) -> None:
+    """Read the styles of all screens. With those of each new one, Textual reads all again."""
+    kinds: list[type[Screen[Any]]] = [Screen]
+    for kind in kinds:
+        kinds += kind.__subclasses__()
+        if vars(kind).get("CSS"):
+            place, scope = (inspect.getfile(kind), f"{kind.__name__}.CSS"), style_scope(kind)
+            app.stylesheet.add_source(kind.CSS, read_from=place, scope=scope if kind.SCOPED_CSS else "")
+    app.stylesheet.update(app)
 
 
 def crash_path() -> Path:

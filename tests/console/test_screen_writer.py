@@ -11,7 +11,7 @@ import pytest
 from rich.color import ColorSystem
 from tests.console.driving import NARROW, WIDE, on_main, until
 from tests.support.heights import heights_of
-from textual.geometry import Region
+from textual.geometry import Region, Size
 from textual.screen import ModalScreen
 from textual.widgets import Static
 
@@ -19,9 +19,10 @@ from rsb_console.screens.help import KeyList
 from rsb_console.terminal.screen_cells import FIRST, LAST, LINES, USUAL
 from rsb_console.terminal.screen_writer import ScreenWriter
 from rsb_console.terminal.terminal_line import TerminalLine
+from rsb_console.terminal_app import read_styles
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from textual.app import ComposeResult
     from textual.pilot import Pilot
@@ -60,6 +61,38 @@ async def test_boxes_come_before_pictures_below_them_and_after_their_own(app: Co
         assert header == (Region(0, 0, app.size.width, 2), LINES)
 
 
+class Given:
+    """A writer of an app, over a line of 1,920 bytes/s in simulated time.
+
+    Attributes:
+        rows: rows of the screen that were written.
+        looks: s until each next look.
+    """
+
+    def __init__(self, app: ConsoleApp, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.now, self.rows, self.looks = 100.0, list[int](), list[float]()
+        monkeypatch.setattr(time, "monotonic", lambda: self.now)
+        monkeypatch.setattr(asyncio, "get_running_loop", lambda: SimpleNamespace(call_later=self._call_later))
+        line = TerminalLine(lambda: self.now, rate=1_920)
+        driver: Any = SimpleNamespace(line=line, losses=0, is_free=True, erases=False, late=0.0)
+        driver.write_frame = lambda *_, **__: None
+        self.writer = ScreenWriter(app, driver, ColorSystem.TRUECOLOR, (), self._written)
+        self.writer._cells.resize(app.size)
+        self.writer.forget()
+        self.writer.expect_effect()
+
+    def _call_later(self, seconds: float, _call: Callable[[], None]) -> object:
+        self.looks.append(seconds)
+        return SimpleNamespace(cancel=lambda: None)
+
+    def _written(self, spans: Sequence[tuple[int, int, int]]) -> None:
+        self.rows += [y for y, *_ in spans]
+
+    def give_in(self, seconds: float) -> None:
+        self.now += seconds
+        self.writer.give()
+
+
 @on_main()
 async def test_key_has_its_effect_before_what_is_below_the_box(
     app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
@@ -67,36 +100,32 @@ async def test_key_has_its_effect_before_what_is_below_the_box(
     """Which is written later, also while the key is held, and is no lateness meanwhile."""
     app.push_screen(box := Box())
     await until(pilot, lambda: bool(box.query("#box")) and box.is_current, "a box")
-    now, looks = [100.0], list[float]()
-
-    def call_later(seconds: float, _call: Callable[[], None]) -> object:
-        looks.append(seconds)
-        return SimpleNamespace(cancel=lambda: None)
-
-    monkeypatch.setattr(time, "monotonic", lambda: now[0])
-    monkeypatch.setattr(asyncio, "get_running_loop", lambda: SimpleNamespace(call_later=call_later))
-    rows: list[int] = []
-    line = TerminalLine(lambda: now[0], rate=1_920)
-    driver: Any = SimpleNamespace(line=line, losses=0, is_free=True, erases=False, late=0.0)
-    driver.write_frame = lambda *_, **__: None
-    writer = ScreenWriter(app, driver, ColorSystem.TRUECOLOR, (), lambda spans: rows.extend(y for y, *_ in spans))
-    writer._cells.resize(app.size)
-    writer.expect_effect()
     region = box.query_one("#box").region
-    writer.forget()
-    while writer._cells.lacks(region):
-        now[0] += 0.02
-        writer.give()
-    assert set(rows) <= {0, 1, *region.line_range}
-    for _ in range(4):
-        now[0] += 0.05
-        writer.expect_effect()  # a repeat
-        writer.give()
-    assert set(rows) <= {0, 1, *region.line_range}
-    assert writer.late == 0.0
-    now[0] += looks[-1]
-    writer.give()
-    assert not set(rows) <= {0, 1, *region.line_range}
+    with monkeypatch.context() as patched:
+        given = Given(app, patched)
+        while given.writer._cells.lacks(region):
+            given.give_in(0.02)
+        for _ in range(4):
+            given.writer.expect_effect()  # a repeat
+            given.give_in(0.05)
+        assert set(given.rows) <= {0, 1, *region.line_range}
+        assert given.writer.late == 0.0
+        given.give_in(given.looks[-1])
+        assert not set(given.rows) <= {0, 1, *region.line_range}
+
+
+@on_main()
+async def test_nothing_becomes_dim_before_the_box_is_there(
+    app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    app.push_screen(screen := ModalScreen[None]())
+    await until(pilot, lambda: screen.is_current, "a screen")
+    with monkeypatch.context() as patched:
+        given = Given(app, patched)
+        given.give_in(0.02)
+        assert given.rows == []
+        given.give_in(given.looks[-1])
+        assert given.rows != []
 
 
 @on_main(NARROW, WIDE)
@@ -110,6 +139,18 @@ async def test_help_has_its_height_at_once(
     await pilot.pause()
     assert heights == [app.screen.query_one(KeyList).outer_size.height]
     assert heights[0] > app.size.height // 2
+
+
+def test_writer_gives_what_is_left_while_app_ends_without_a_screen() -> None:
+    app: Any = SimpleNamespace(screen_stack=[], size=Size(80, 24), focused=None)
+    line = TerminalLine(rate=float("inf"))
+    driver: Any = SimpleNamespace(line=line, losses=0, is_free=True, erases=False)
+    driver.write_frame = lambda *_, **__: None
+    rows: list[int] = []
+    writer = ScreenWriter(app, driver, ColorSystem.TRUECOLOR, (), lambda spans: rows.extend(y for y, *_ in spans))
+    writer._cells.resize(app.size)
+    writer.give()
+    assert rows
 
 
 def test_line_that_stands_still_is_looked_at_less_often(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -138,7 +179,7 @@ async def test_styles_of_screens_are_read_before_a_key_opens_one(
     app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Reading all anew with each takes so long that the key seems lost."""
-    app.read_styles()
+    read_styles(app)
     monkeypatch.setattr(app.stylesheet, "reparse", lambda: pytest.fail("all styles are read again"))
     app.push_screen(box := Coloured())
     await until(pilot, lambda: bool(box.query("#box")) and box.is_current, "a box")

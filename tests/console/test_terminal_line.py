@@ -108,6 +108,19 @@ def test_little_that_passes_at_once_proves_no_fast_line(rate: int) -> None:
     assert latest < 2.5 * FRAME
 
 
+def test_answers_that_wait_together_prove_no_fast_line() -> None:
+    """As while this process gets no processor."""
+    way = Way(1_920)
+    way.play(10.0, 4_000)
+    for _ in range(5):
+        way.go_on(1.0)
+        for _ in range(2):
+            way.write(290)
+            way.now += 0.3
+        way.go_on(STEP)
+    assert way.line.rate < 1.2 * 1_920
+
+
 @pytest.mark.parametrize("trip", [0.0, 0.06, 0.3])
 def test_line_that_became_slower_at_rest_is_noticed_by_the_first_frame(trip: float) -> None:
     way = Way(150_000, trip)
@@ -118,6 +131,16 @@ def test_line_that_became_slower_at_rest_is_noticed_by_the_first_frame(trip: flo
         way.go_on(0.25)
     _, latest = way.play(3.0, 300_000)
     assert latest < 2.5 * FRAME
+
+
+def test_line_is_free_after_an_image_that_no_question_follows() -> None:
+    """Frames alone are followed by one, and none comes while the line is not free."""
+    way = Way(150_000)
+    way.play(10.0, 300_000)
+    way.go_on(10.0)
+    way.line.wrote(20_000)
+    way.go_on(1.0)
+    assert way.line.is_free
 
 
 @pytest.mark.parametrize("rate", [960, 1_920])

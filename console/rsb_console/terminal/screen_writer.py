@@ -134,12 +134,18 @@ class ScreenWriter:
             self._cells.forget()
         if self._driver.is_free:
             self._gave_at = time.monotonic()
-            if (top := self._app.screen) is not self._top:
+            stack = self._app.screen_stack
+            if (top := stack[-1] if stack else None) is not self._top:  # while the app ends there is none
                 self._top = top
                 self._cells.begin_at_top()
             self._cells.erases = self._driver.erases
             # Above the first screen, a box: what is below only becomes dim, or is a picture.
-            rest_waits = len(self._app.screen_stack) > 1 and self._gave_at < self._rest_waits_until
+            rest_waits = len(stack) > 1 and self._gave_at < self._rest_waits_until
+            if rest_waits and not any(each.region for each in stack[-1].children if not isinstance(each, ToastRack)):
+                # The box has no place yet; its screen has only made all below it dim.
+                self._only_rest_waits = True
+                self._look_in(self._rest_waits_until - self._gave_at)
+                return
             frame = self._cells.next(self.line.most, [*self._ranks()], rest_waits=rest_waits)
             self._write(frame.text, frame.spans)
             self._only_rest_waits = rest_waits and frame.lacks is not None and frame.lacks > LINES

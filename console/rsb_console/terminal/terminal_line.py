@@ -143,7 +143,9 @@ class TerminalLine:
             is_trip = alone and self._is_to_empty and not (self._is_stale and size >= self._telling)
             if self._trip is None or took <= self._trip or is_trip:
                 self._trip, self._trip_seen = min(took, max(_AT_ONCE, took - size / self.rate)), self._at
-            self._learn(size, self._at - max(asked_at + self._trip, self._answered_at))
+            # One that waited in a bunch with the answer before, or in this process, tells nothing.
+            if not self._at - self._answered_at <= _AT_ONCE < took - self._trip:
+                self._learn(size, self._at - max(asked_at + self._trip, self._answered_at))
             self._answered_at = self._at
             # What was written before the question has arrived; of the rest, what a round trip carries does not wait.
             self._in_flight = max(0.0, self._not_answered - self._trip * self.rate)
@@ -249,7 +251,7 @@ class TerminalLine:
     def is_free(self) -> bool:
         """Whether the next frame may be written."""
         with self._lock:
-            is_tried = self._is_stale and self._not_answered >= self._telling
+            is_tried = self._is_stale and sum(each.size for each in self._asked) >= self._telling
             is_carried = self.late <= (0.0 if self._is_to_empty else _NEXT_AFTER)
             if is_carried and not is_tried and not (self._is_to_empty and self._asked):
                 return True
