@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from rsb_bridge.api import EngineApi, EngineError
     from rsb_bridge.config.files import make_folder, replace_file, typed_path, why_not_written
     from rsb_bridge.config.rights import DeniedUse, Rights
+    from rsb_bridge.config.session_file import SessionError, load
     from rsb_bridge.config.state_folder import state_folder
     from rsb_bridge.context import Context
     from rsb_bridge.control.bridges import running_bridges
@@ -57,6 +58,7 @@ _NAMES = {
     "rsb_bridge.api": ("EngineApi", "EngineError"),
     "rsb_bridge.config.files": ("make_folder", "replace_file", "typed_path", "why_not_written"),
     "rsb_bridge.config.rights": ("DeniedUse", "Rights"),
+    "rsb_bridge.config.session_file": ("SessionError", "load"),
     "rsb_bridge.config.state_folder": ("state_folder",),
     "rsb_bridge.context": ("Context",),
     "rsb_bridge.control.bridges": ("running_bridges",),

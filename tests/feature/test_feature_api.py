@@ -23,16 +23,16 @@ FEATURES = ROOT / "extras/rsb_extras"
 APIS = [feature_api, feature_console]
 BEYOND = {
     "audit": 23,
-    "bench": 42,
-    "doctor": 67,
+    "bench": 40,
+    "doctor": 65,
     "driving": 55,
     "exporters": 27,
-    "fleet": 83,
+    "fleet": 81,
     "history": 14,
     "machine_state": 1,
     "operators": 24,
     "own_commands": 6,
-    "pictures": 37,
+    "pictures": 36,
     "recording": 14,
     "zenoh": 32,
 }

@@ -14,8 +14,17 @@ from textwrap import fill
 from typing import TYPE_CHECKING, Any, Self, TextIO, get_args
 
 from rsb_bridge.config.files import is_there, write_whole
-from rsb_bridge.config.session_file import SessionError, load
-from rsb_bridge.feature_api import EngineError, State, attach, file_stem, one_line, running_bridges, why_not_written
+from rsb_bridge.feature_api import (
+    EngineError,
+    SessionError,
+    State,
+    attach,
+    file_stem,
+    load,
+    one_line,
+    running_bridges,
+    why_not_written,
+)
 from rsb_bridge.model.transports import Protocol, named
 from rsb_console.command.shell import TERMINATED
 from rsb_console.command.target import check_link

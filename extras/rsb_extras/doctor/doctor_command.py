@@ -9,8 +9,7 @@ import textwrap
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from rsb_bridge.config.session_file import SessionError, load
-from rsb_bridge.feature_api import Check, Finding, Grade, plural
+from rsb_bridge.feature_api import Check, Finding, Grade, SessionError, load, plural
 from rsb_bridge.model.finding import examine, worst
 from rsb_console.command.check import print_mistakes
 from rsb_console.feature_console import FAILURE, OK, json_line, print_line

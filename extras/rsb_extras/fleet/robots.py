@@ -20,9 +20,8 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from rsb_bridge.config.session_file import load
 from rsb_bridge.control.bridges import serve
-from rsb_bridge.feature_api import Engine, EventCode
+from rsb_bridge.feature_api import Engine, EventCode, load
 from rsb_bridge.ros.stand_in import Metronome, StandIn, Talk
 
 if TYPE_CHECKING:

@@ -17,8 +17,7 @@ from textual import work
 from textual.binding import Binding
 
 from rsb_bridge.feature_api import EngineError, State, Wording, escape_text, other_side, replace_file
-from rsb_console.actions.all_actions import ACTIONS
-from rsb_console.feature_console import DIALOG
+from rsb_console.feature_console import ACTIONS, DIALOG
 from rsb_console.notation import formats
 from rsb_extras.pictures.blocks import image_rows, wished_pixels
 from rsb_extras.pictures.drawing import VIEWS, is_map

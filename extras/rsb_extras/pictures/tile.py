@@ -8,8 +8,8 @@ from rich.cells import cell_len
 from textual.content import Content
 
 from rsb_bridge.feature_api import Level, Wording, escape_text
-from rsb_console.actions.all_actions import ACTIONS, BY_ID
-from rsb_console.feature_console import STATE_SIGN, fit
+from rsb_console.actions.all_actions import BY_ID
+from rsb_console.feature_console import ACTIONS, STATE_SIGN, fit
 from rsb_console.notation import formats
 from rsb_console.widgets.log import LOOK as LEVEL_LOOK
 from rsb_console.widgets.log import plain
