@@ -9,14 +9,20 @@ feature that a session does not use costs nothing.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from importlib import import_module
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, TypeVar
 
 import msgspec
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Callable, Iterable, Mapping
     from pathlib import Path
 
+API = 1
+"""Version of `Feature`, `rsb_bridge.feature_api` and `rsb_console.feature_console`.
+
+It grows when something of these changes its meaning or goes; what is only added leaves it as it is.
+"""
 GROUP = "rsb_console.feature"
 """The entry points, each of which names an instance of a subclass of `Feature`."""
 
@@ -44,6 +50,22 @@ BRINGS_SETTINGS: Mapping[str, str] = {"commands": "own_commands", "layouts": "pi
 """The same of settings in ``console.yaml``."""
 
 T = TypeVar("T")
+
+
+def late_names(module: str, names: Mapping[str, Iterable[str]]) -> Callable[[str], Any]:
+    """Return a module's ``__getattr__`` (PEP 562), which imports each name from its home when it is asked for.
+
+    Args:
+        names: by their homes.
+    """
+    homes = {name: home for home, of_home in names.items() for name in of_home}
+
+    def get(name: str) -> Any:
+        if name not in homes:
+            raise AttributeError(f"module {module} has no {name}")
+        return getattr(import_module(homes[name]), name)
+
+    return get
 
 
 @dataclass(frozen=True)
@@ -150,11 +172,13 @@ class Feature:
     """A package's additions. A subclass overrides the methods that it needs.
 
     Attributes:
+        API: version of the door that the feature was written for; a feature for another one is left out.
         name: short, lower case; peers tell each other the names of their features.
         needs: names of the features without which this one does nothing.
         libraries: modules that some of its work needs, by the extra of rsb-console that installs each.
     """
 
+    API: ClassVar[int] = API
     name: ClassVar[str]
     needs: ClassVar[tuple[str, ...]] = ()
     libraries: ClassVar[Mapping[str, str]] = {}

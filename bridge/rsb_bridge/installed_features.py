@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
-from rsb_bridge.feature import GROUP, Feature
+from rsb_bridge.feature import API, GROUP, Feature
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -140,6 +140,8 @@ def _loaded() -> Iterator[Feature]:
             feature = entry.load()
             if not isinstance(feature, Feature) or not isinstance(getattr(feature, "name", None), str):
                 raise TypeError(f"{entry.value} is no instance of Feature with a name")
+            if feature.API != API:
+                raise ImportError(f"it is written for version {feature.API} of features, and this is {API}")
         except Exception as error:  # noqa: BLE001 -- of code that is not ours, and of which a bridge must not depend
             leave_out(entry.name, "", _failure(error))
         else:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 from platformdirs import user_log_path
 from rich.console import COLOR_SYSTEMS
 from textual import events, work
-from textual.app import ReturnType
+from textual.app import App, ReturnType
 from textual.screen import Screen, SystemModalScreen
 from textual.signal import Signal
 

@@ -119,4 +119,10 @@ class Needy(Feature):
     needs: ClassVar[tuple[str, ...]] = ("no_such_feature",)
 
 
+class Older(Feature):
+    name = "older"
+    API: ClassVar[int] = 0
+
+
+OLDER = Older()
 GREEDY, TWIN, NEEDY = Greedy(), Greedy(), Needy()

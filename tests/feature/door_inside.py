@@ -133,5 +133,8 @@ def test_commands_work(command: tuple[str, ...]) -> None:
 def test_two_features_of_one_name_and_what_is_no_feature() -> None:
     assert [each.name for each in installed()].count("greedy") == 1
     whole = {each.feature for each in feature_faults() if not each.method}
-    assert whole == {"greedy", "nonsense", "unloadable", "needy"}
+    assert whole == {"greedy", "nonsense", "unloadable", "needy", "older"}
+    assert [each.reason for each in feature_faults() if each.feature == "older"] == [
+        "ImportError: it is written for version 0 of features, and this is 1; update or remove it"
+    ]
     assert all(isinstance(each, FeatureFault) and each.reason for each in feature_faults())

@@ -16,6 +16,7 @@ twin = rsb_door:TWIN
 nonsense = rsb_door:METHODS
 unloadable = rsb_door:NOTHING
 needy = rsb_door:NEEDY
+older = rsb_door:OLDER
 """
 
 

@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.model.names import is_topic_name
 from rsb_bridge.model.patterns import Pattern, is_valid
-from rsb_console.command.argument_values import seconds
-from rsb_console.command.remote_arguments import subcommand
+from rsb_console.feature_console import seconds, subcommand
 
 if TYPE_CHECKING:
-    from rsb_console.command.remote_arguments import AddCommand, Complete
+    from rsb_console.feature_console import AddCommand, Complete
 
 _AUDIT = """\
 NEAR and FAR are recordings of the same time, one of each ROS domain, of any bridge:

@@ -7,9 +7,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from rsb_console.command.formatting import json_line
-from rsb_console.command.shell import FAILURE, OK, print_line
-from rsb_console.command.target import UsageError
+from rsb_console.feature_console import FAILURE, OK, UsageError, json_line, print_line
 from rsb_extras.audit.audit_table import lines_of
 from rsb_extras.audit.comparing import AuditOptions, compare
 from rsb_extras.audit.recording_files import RecordingError, UnreadableRecording

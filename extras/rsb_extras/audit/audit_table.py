@@ -5,8 +5,7 @@ from __future__ import annotations
 from datetime import datetime
 from typing import TYPE_CHECKING
 
-from rsb_bridge.model.text import join_first, plural
-from rsb_bridge.model.wording import Wording
+from rsb_bridge.feature_api import Wording, join_first, plural
 from rsb_console.notation.formats import milliseconds, span
 from rsb_extras.audit.audited_topic import OPENING
 from rsb_extras.audit.directions import SECOND

@@ -15,7 +15,7 @@ import yaml
 import zstandard
 
 from rsb_bridge.cdr.description import DescriptionError, TypeDescription, hash_of_text, read_description
-from rsb_bridge.model.wording import Wording
+from rsb_bridge.feature_api import Wording
 from rsb_bridge.ros.native.rosidl_descriptions import installed_description
 from rsb_extras.audit.defined_types import DefinitionError, defined_type
 from rsb_extras.audit.padding import Padding, PaddingError

@@ -6,7 +6,7 @@ import re
 import sqlite3
 from typing import TYPE_CHECKING
 
-from rsb_bridge.model.wording import Wording
+from rsb_bridge.feature_api import Wording
 from rsb_extras.audit import mcap_records, sqlite_bag
 from rsb_extras.audit.recorded import Damage, DamageError, ReadRecording, RecordingRows
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
 
-from rsb_bridge.model.wording import Wording
+from rsb_bridge.feature_api import Wording
 from rsb_extras.audit.unanswered import SERVICE_EVENTS
 
 if TYPE_CHECKING:

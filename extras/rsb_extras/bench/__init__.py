@@ -6,17 +6,13 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from rsb_bridge.feature import Feature, SessionKey
+from rsb_bridge.feature_api import Feature, SessionKey
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from rsb_bridge.engine.bridge import Bridge
-    from rsb_bridge.engine.part import EnginePart
-    from rsb_bridge.link.extension import Extension
-    from rsb_bridge.link.link import Link
-    from rsb_bridge.model.purposes import Purpose
-    from rsb_console.command.remote_arguments import AddCommand, Complete
+    from rsb_bridge.feature_api import Bridge, EnginePart, Extension, Link, Purpose
+    from rsb_console.feature_console import AddCommand, Complete
 
 
 class BenchmarkLimits(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):

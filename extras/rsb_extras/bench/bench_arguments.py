@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
 from rsb_bridge.model.transports import Protocol
-from rsb_console.command.argument_values import seconds
-from rsb_console.command.remote_arguments import place_options, subcommand
+from rsb_console.command.remote_arguments import place_options
+from rsb_console.feature_console import seconds, subcommand
 
 if TYPE_CHECKING:
-    from rsb_console.command.remote_arguments import AddCommand, Complete
+    from rsb_console.feature_console import AddCommand, Complete
 
 TRANSPORTS = get_args(Protocol)
 _UNITS = {"": 1, "b": 1, "k": 1_000, "kb": 1_000, "m": 1_000_000, "mb": 1_000_000}

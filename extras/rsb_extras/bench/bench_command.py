@@ -13,26 +13,33 @@ from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING, Any, Self, TextIO, get_args
 
-from rsb_bridge.api import EngineError
-from rsb_bridge.config.files import is_there, why_not_written, write_whole
-from rsb_bridge.config.session_file import SessionError, load
-from rsb_bridge.control.bridges import running_bridges
-from rsb_bridge.control.remote_engine import attach
-from rsb_bridge.model.names import file_stem
-from rsb_bridge.model.snapshot import State
-from rsb_bridge.model.text import one_line
+from rsb_bridge.config.files import is_there, write_whole
+from rsb_bridge.feature_api import (
+    EngineError,
+    SessionError,
+    State,
+    attach,
+    file_stem,
+    load,
+    one_line,
+    running_bridges,
+    why_not_written,
+)
 from rsb_bridge.model.transports import Protocol, named
-from rsb_console.command.shell import (
+from rsb_console.command.shell import TERMINATED
+from rsb_console.command.target import check_link
+from rsb_console.feature_console import (
     FAILURE,
     INTERRUPTED,
     OK,
-    TERMINATED,
     USAGE,
+    UsageError,
+    attached,
+    failed,
     print_error,
     print_line,
     print_lines,
 )
-from rsb_console.command.target import UsageError, attached, check_link, failed
 from rsb_extras.bench.bench_recording import BenchRecording
 from rsb_extras.bench.loopback import TRANSPORTS, Loopback, machine, ros_problem
 from rsb_extras.bench.presentation import USUAL, as_svg, in_terminal, in_words, judge, lines_of
@@ -46,8 +53,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from types import TracebackType
 
-    from rsb_bridge.control.remote_engine import RemoteEngine
-    from rsb_bridge.model.snapshot import LinkSnapshot, Snapshot
+    from rsb_bridge.feature_api import LinkSnapshot, RemoteEngine, Snapshot
     from rsb_extras.bench.results import BenchPlace, Load
 
 _ERASE = "\r\x1b[K"

@@ -8,8 +8,9 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from rsb_bridge.feature_api import RawMessage
 from rsb_bridge.ros.internal_ends import GID, HEADER
-from rsb_bridge.ros.ros_interface import Liveliness, RawMessage
+from rsb_bridge.ros.ros_interface import Liveliness
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.cdr.description import FieldType, MessageField, MessageType, TypeDescription, text_of
 from rsb_bridge.cdr.known_types import STRING, STRING_HASH
-from rsb_bridge.model.qos import Qos
-from rsb_bridge.model.wording import Wording
+from rsb_bridge.feature_api import Qos, Wording
 from rsb_extras.bench.kept_messages import read_kept
 from rsb_extras.recording.mcap_file import RecordedTopic, new_recording
 

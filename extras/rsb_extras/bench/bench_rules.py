@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.config.decoding import join, under
 from rsb_bridge.config.topic_rules import range_problems
-from rsb_bridge.model.wording import Wording
+from rsb_bridge.feature_api import Wording
 from rsb_extras.bench import LIMITS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from rsb_bridge.model.session import Client, Session
+    from rsb_bridge.feature_api import Client, Session
 
 _MOST = 1e6
 """s and MB in an hour; a round figure: an hour has 3,600 s, and so many MB are 278 MB/s."""

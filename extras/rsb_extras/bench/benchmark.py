@@ -6,8 +6,7 @@ from typing import Literal
 
 import msgspec
 
-from rsb_bridge.model.commands import Command, Right
-from rsb_bridge.model.purposes import Purpose
+from rsb_bridge.feature_api import Command, Purpose, Right
 from rsb_bridge.model.transports import Protocol
 
 BENCH = Purpose("bench", fills_link=True, type_name="rsb_bridge/msg/Bench", type_hash="RIHS01_" + "0" * 64)

@@ -11,15 +11,22 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from msgspec import Meta
 
-from rsb_bridge.config.rights import DeniedUse
-from rsb_bridge.engine.part import EnginePart
-from rsb_bridge.link.extension import Extension, LinkError
-from rsb_bridge.link.internal_routes import InternalRoutes
+from rsb_bridge.feature_api import (
+    ControlMessageBase,
+    Count,
+    DeniedUse,
+    EnginePart,
+    Extension,
+    InternalRoutes,
+    LinkError,
+    Questions,
+    Reason,
+    RouteId,
+    Seconds,
+    sanitize_text,
+)
 from rsb_bridge.link.link import link_named
-from rsb_bridge.link.questions import Questions
-from rsb_bridge.model.text import sanitize_text
-from rsb_bridge.wire.messages import ControlMessageBase
-from rsb_bridge.wire.records import Count, Hertz, Reason, RouteId, Seconds
+from rsb_bridge.wire.records import Hertz
 from rsb_extras.bench import LIMITS
 from rsb_extras.bench.bench_ends import BenchArrivals, BenchDrain, BenchSource, Time, resources
 from rsb_extras.bench.benchmark import (
@@ -39,13 +46,10 @@ if TYPE_CHECKING:
     from typing import Any
 
     from rsb_bridge.channel.data_keys import Meter
-    from rsb_bridge.config.rights import Rights
-    from rsb_bridge.engine.bridge import Bridge
+    from rsb_bridge.feature_api import Bridge, Link, Rights, Route
     from rsb_bridge.link.base_link import BaseLink
-    from rsb_bridge.link.link import Link
     from rsb_bridge.link.route_table import RouteTable
     from rsb_bridge.ros.ros_interface import Sink
-    from rsb_bridge.route.route import Route
     from rsb_extras.bench import BenchmarkLimits
     from rsb_extras.bench.benchmark import BenchmarkStep
 

@@ -13,9 +13,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
-from rsb_bridge.api import EngineError
-from rsb_bridge.control.remote_engine import attach
-from rsb_bridge.model.snapshot import State
+from rsb_bridge.feature_api import EngineError, State, attach
 from rsb_extras.bench.benchmark import Bench, BenchmarkStep
 from rsb_extras.bench.results import BenchError, Many, Run, Side, Way
 from rsb_extras.demo.demo_session import free_port
@@ -25,8 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
     from contextlib import AbstractContextManager
 
-    from rsb_bridge.control.remote_engine import RemoteEngine
-    from rsb_bridge.model.snapshot import Snapshot
+    from rsb_bridge.feature_api import RemoteEngine, Snapshot
     from rsb_extras.bench.bench_recording import BenchRecording, KeptRun
     from rsb_extras.bench.results import BenchEnds
 

@@ -6,8 +6,7 @@ import math
 from typing import TYPE_CHECKING, NamedTuple
 from xml.sax.saxutils import escape
 
-from rsb_bridge.model.text import join_first
-from rsb_bridge.model.wording import Wording
+from rsb_bridge.feature_api import Wording, join_first
 from rsb_console.notation.formats import byte_count, byte_rate, expected
 from rsb_extras.bench.results import Judged, Load
 

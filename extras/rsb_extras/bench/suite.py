@@ -8,7 +8,7 @@ import time
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
-from rsb_bridge.api import EngineError
+from rsb_bridge.feature_api import EngineError
 from rsb_bridge.model.transports import of_link
 from rsb_console.notation.formats import byte_count
 from rsb_extras.bench.benchmark import BENCH, ENDED_BY_PEER, MOST_SECONDS, Bench, BenchmarkStep, Outcome
@@ -19,9 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
     from typing import Any
 
-    from rsb_bridge.api import EngineApi
-    from rsb_bridge.model.session import Session
-    from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
+    from rsb_bridge.feature_api import EngineApi, RouteSnapshot, Session, Snapshot
     from rsb_extras.bench.results import BenchEnds, BenchPlace, BenchReport, Limit
 
 _FIRST_BYTES = 50e6

@@ -4,21 +4,19 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rsb_bridge.feature import Feature
+from rsb_bridge.feature_api import Feature
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from rsb_console.actions.action import Action
-    from rsb_console.command.remote_arguments import AddCommand, Complete
+    from rsb_console.feature_console import Action, AddCommand, Complete
 
 
 class DemoFeature(Feature):
     name = "demo"
 
     def subcommands(self, add: AddCommand, complete: Complete) -> None:
-        from rsb_console.command.argument_values import seconds  # noqa: PLC0415 -- `Feature` says why
-        from rsb_console.command.remote_arguments import subcommand  # noqa: PLC0415
+        from rsb_console.feature_console import seconds, subcommand  # noqa: PLC0415 -- `Feature` says why
 
         summary = "bridge two ROS domains on this machine, with a simulated robot"
         parser = add("demo", subcommand("rsb_extras.demo.demo_command:demo"), summary, after="bt-scan")
@@ -26,7 +24,8 @@ class DemoFeature(Feature):
         parser.add_argument("--seconds", type=seconds, metavar="N", help="stop after N s")
 
     def actions(self) -> Iterable[Action]:
-        from rsb_console.actions.action import Action, Beginning, Group, late  # noqa: PLC0415
+        from rsb_console.actions.action import Beginning  # noqa: PLC0415
+        from rsb_console.feature_console import Action, Group, late  # noqa: PLC0415
 
         about = "a simulated robot, bridged on this machine"
         demo = Action(

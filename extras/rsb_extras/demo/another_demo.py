@@ -6,12 +6,12 @@ import asyncio
 import contextlib
 from typing import TYPE_CHECKING
 
-from rsb_bridge.api import EngineError
+from rsb_bridge.feature_api import EngineError
 from rsb_console.operations.session_operations import confirm_end
 from rsb_extras.demo.demo_session import running_demo
 
 if TYPE_CHECKING:
-    from rsb_console.screens.main import MainScreen
+    from rsb_console.feature_console import MainScreen
 
 _ANOTHER_DEMO = "This robot and its bridges end; a new robot starts, with the demo's first topics."
 

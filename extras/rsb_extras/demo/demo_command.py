@@ -6,12 +6,12 @@ import contextlib
 import sys
 from typing import TYPE_CHECKING
 
-from rsb_bridge.api import EngineError
-from rsb_bridge.engine import Engine
+from rsb_bridge.feature_api import Engine, EngineError
 from rsb_bridge.model.text import keep_output_clean
 from rsb_console.command.headless import Signals, bridge_until_told
 from rsb_console.command.local_commands import can_draw
-from rsb_console.command.shell import FAILURE, INTERRUPTED, OK, USAGE, allow_many_descriptors, print_error, print_line
+from rsb_console.command.shell import allow_many_descriptors
+from rsb_console.feature_console import FAILURE, INTERRUPTED, OK, USAGE, print_error, print_line
 from rsb_extras.demo.demo_session import running_demo
 
 if TYPE_CHECKING:

@@ -17,14 +17,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rsb_bridge.api import EngineError
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.config.session_file import save
-from rsb_bridge.model.codes import EventCode
+from rsb_bridge.feature_api import EngineError, EventCode, RosError, Session, Topic
 from rsb_bridge.model.limits import discovery_domain
-from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.ros.distribution import check_middleware
-from rsb_bridge.ros.ros_interface import RosError
 from rsb_console.child import ChildProcess
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ from type_description_interfaces.msg import Field, FieldType, IndividualTypeDesc
 from type_description_interfaces.srv import GetTypeDescription
 
 from rsb_bridge.cdr.description import hash_of_text
-from rsb_bridge.model.qos import Qos
+from rsb_bridge.feature_api import Qos
 from rsb_bridge.ros.native.rosidl_descriptions import installed_description
 from rsb_bridge.ros.raw_types import borrow_type
 from rsb_bridge.ros.self_test import findings

@@ -16,7 +16,7 @@ from sensor_msgs.msg import BatteryState, LaserScan
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
-from rsb_bridge.ros.ros_interface import RosError
+from rsb_bridge.feature_api import RosError
 from rsb_extras.demo.robot_frames import FrameListener
 from rsb_extras.demo.rooms import TOUR
 from rsb_extras.demo.simulated_node import CALL_EVERY, LATCHED, SimulatedNode

@@ -18,7 +18,7 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import BatteryState, Image, Imu, JointState, LaserScan
 from std_srvs.srv import SetBool
 
-from rsb_bridge.ros.ros_interface import RosError
+from rsb_bridge.feature_api import RosError
 from rsb_extras.demo.robot_frames import Frame, FrameBroadcaster
 from rsb_extras.demo.robot_motion import SPEED, TOP_SPEED, Motion
 from rsb_extras.demo.room_camera import EYE, room_picture

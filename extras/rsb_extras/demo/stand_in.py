@@ -24,20 +24,17 @@ from rsb_bridge.cdr.known_types import (
     battery_state,
     stamped_string,
 )
-from rsb_bridge.model.qos import Qos
+from rsb_bridge.feature_api import Endpoint, Qos, RawMessage
 from rsb_bridge.ros.discovery import Discovery
 from rsb_bridge.ros.no_ros import NoRos
-from rsb_bridge.ros.ros_interface import Endpoint, Liveliness, RawMessage
+from rsb_bridge.ros.ros_interface import Liveliness
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Sequence
 
+    from rsb_bridge.feature_api import TopicSpec
     from rsb_bridge.ros.publication_numbers import PublicationNumbers
-    from rsb_bridge.ros.ros_interface import (
-        OnFailure,
-        Sink,
-        TopicSpec,
-    )
+    from rsb_bridge.ros.ros_interface import OnFailure, Sink
 
 
 _GID_LENGTH = 16

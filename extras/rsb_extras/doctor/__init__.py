@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rsb_bridge.feature import Feature, MachineReport
+from rsb_bridge.feature_api import Feature, MachineReport
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from rsb_bridge.model.finding import Check, Finding
-    from rsb_console.command.remote_arguments import AddCommand, Complete
+    from rsb_bridge.feature_api import Check, Finding
+    from rsb_console.feature_console import AddCommand, Complete
 
 
 class Doctor(Feature):
@@ -23,7 +23,7 @@ class Doctor(Feature):
         return (MachineReport(report(found), "rsb-console doctor", tuple(lines(found, columns))),)
 
     def checks(self) -> Iterable[Check]:
-        from rsb_bridge.model.finding import Check  # noqa: PLC0415
+        from rsb_bridge.feature_api import Check  # noqa: PLC0415
 
         def features() -> Iterable[Finding]:
             from rsb_extras.doctor.feature_check import features  # noqa: PLC0415 -- loads what a console does
@@ -35,7 +35,7 @@ class Doctor(Feature):
     def subcommands(self, add: AddCommand, complete: Complete) -> None:
         from pathlib import Path  # noqa: PLC0415
 
-        from rsb_console.command.remote_arguments import subcommand  # noqa: PLC0415
+        from rsb_console.feature_console import subcommand  # noqa: PLC0415
 
         summary = "examine this machine: ROS, network, memory, clock, terminal"
         doctor = add("doctor", subcommand("rsb_extras.doctor.doctor_command:doctor"), summary, after="check")

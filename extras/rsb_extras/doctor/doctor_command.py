@@ -9,12 +9,10 @@ import textwrap
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from rsb_bridge.config.session_file import SessionError, load
-from rsb_bridge.model.finding import Check, Finding, Grade, examine, worst
-from rsb_bridge.model.text import plural
+from rsb_bridge.feature_api import Check, Finding, Grade, SessionError, load, plural
+from rsb_bridge.model.finding import examine, worst
 from rsb_console.command.check import print_mistakes
-from rsb_console.command.formatting import json_line
-from rsb_console.command.shell import FAILURE, OK, print_line
+from rsb_console.feature_console import FAILURE, OK, json_line, print_line
 from rsb_console.notation.ascii_signs import prefers_ascii
 from rsb_extras.doctor import machine, ros_setup, session_needs
 from rsb_extras.doctor.operator_line import line_check

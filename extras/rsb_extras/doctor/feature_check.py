@@ -6,8 +6,8 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from rsb_bridge.control import protocol
+from rsb_bridge.feature_api import Finding, Grade
 from rsb_bridge.installed_features import added, feature_faults, feature_names, installed
-from rsb_bridge.model.finding import Finding, Grade
 from rsb_bridge.model.purposes import purposes
 from rsb_bridge.wire.codec import control_messages
 from rsb_console.actions.all_actions import screens

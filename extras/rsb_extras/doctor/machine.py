@@ -27,12 +27,8 @@ from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from rsb_bridge.config.files import why_not_written
-from rsb_bridge.config.state_folder import state_folder
+from rsb_bridge.feature_api import Check, Finding, Grade, Wording, join_first, state_folder, why_not_written
 from rsb_bridge.installed_features import added, installed
-from rsb_bridge.model.finding import Check, Finding, Grade
-from rsb_bridge.model.text import join_first
-from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.descriptors import for_arrivals
 from rsb_bridge.transport.network_news import open_news
 from rsb_bridge.transport.tcp import BBR, congestion_control, prefer_bbr

@@ -21,8 +21,7 @@ from itertools import pairwise
 from statistics import median
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from rsb_bridge.model.finding import Check, Finding, Grade
-from rsb_bridge.model.wording import Wording
+from rsb_bridge.feature_api import Check, Finding, Grade, Wording
 from rsb_console.notation.formats import byte_rate
 from rsb_console.terminal.pulse import ANSWERS_WITHIN, ASKED_EVERY, FRESH_FOR, multiplexer
 from rsb_console.terminal.terminal_facts import ask, facts_before_answers

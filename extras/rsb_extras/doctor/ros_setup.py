@@ -12,13 +12,11 @@ from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING
 
-from rsb_bridge.model.finding import Check, Finding, Grade
+from rsb_bridge.feature_api import Check, Finding, Grade, RosError, Wording
 from rsb_bridge.model.limits import DOMAIN, SAFE_DOMAIN, dds_ports
-from rsb_bridge.model.wording import Wording
 from rsb_bridge.ros.discovery import RANGE, SERVERS, SUPER_CLIENT, Discovery, DiscoveryText, is_off
 from rsb_bridge.ros.distribution import check_middleware, check_shared_memory, described, distribution, rclpy_version
 from rsb_bridge.ros.memory import PROFILE_VARIABLES
-from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.ros.security import Security
 
 if TYPE_CHECKING:

@@ -20,13 +20,9 @@ from typing import TYPE_CHECKING
 from rsb_bridge.config.advice import advise, guarded_here_alone, missing_transports, uninstalled_types
 from rsb_bridge.config.keys import KeyFileError, key_warnings, session_keys
 from rsb_bridge.config.validation import domain_of
-from rsb_bridge.control.bridges import running_bridges
-from rsb_bridge.control.remote_engine import RemoteEngine
+from rsb_bridge.feature_api import Check, Finding, Grade, RemoteEngine, Wording, other_side, running_bridges
 from rsb_bridge.model import transports
-from rsb_bridge.model.finding import Check, Finding, Grade
-from rsb_bridge.model.names import other_side
 from rsb_bridge.model.verdict import clocks_differ
-from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport import multipath
 from rsb_bridge.transport.descriptors import first_open_port
 from rsb_bridge.transport.listening import EVERY_ADDRESS
@@ -39,8 +35,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.config.keys import Key
     from rsb_bridge.control.bridges import RunningBridge
-    from rsb_bridge.model.session import Session
-    from rsb_bridge.model.snapshot import Snapshot
+    from rsb_bridge.feature_api import Session, Snapshot
 
 _BASE_TIMEOUTS = (sys.executable, "-P", "-m", "rsb_bridge.ros.base_timeouts")
 """-P: no module of the working folder runs."""

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from rsb_bridge.feature import Feature
+from rsb_bridge.feature_api import Feature
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from rsb_bridge.engine.bridge import Bridge
-    from rsb_bridge.engine.part import EnginePart
-    from rsb_bridge.model.commands import Command
-    from rsb_console.actions.action import Action
-    from rsb_console.command.remote_arguments import AddCommand, Complete
+    from rsb_bridge.feature_api import Bridge, Command, EnginePart
+    from rsb_console.feature_console import Action, AddCommand, Complete
 
 
 class Driving(Feature):

@@ -20,17 +20,15 @@ from textual.content import Content
 from textual.geometry import Spacing
 from textual.widgets import Static
 
-from rsb_bridge.api import EngineError
+from rsb_bridge.feature_api import Effect, EngineError, Wording, escape_text, join_first
 from rsb_bridge.model.audience import NOBODY
 from rsb_bridge.model.by_hand import smallest_limits
-from rsb_bridge.model.commands import Effect
-from rsb_bridge.model.text import escape_text, join_first
-from rsb_bridge.model.wording import Wording
+from rsb_console.feature_console import DIALOG, ConfirmScreen, GuardedScreen, SideBox
 from rsb_console.notation.formats import PatternRow, driver_name, driver_rate, full_type
-from rsb_console.screens.dialog import ArmScreen, ConfirmScreen, SideBox
+from rsb_console.screens.dialog import ArmScreen
 from rsb_console.screens.main import MainText
 from rsb_console.screens.take_over import AskHolderScreen
-from rsb_console.terminal.input_queue import DIALOG, SEEN_AFTER, GuardedScreen, InputGate
+from rsb_console.terminal.input_queue import SEEN_AFTER, InputGate
 from rsb_extras.driving.landing import ByHandText, Landing, hearing
 from rsb_extras.driving.publish_requests import DraftMessage, Publish
 from rsb_extras.driving.steering import APART_AT_MOST, STOPS, WAYS, Steering
@@ -43,11 +41,9 @@ if TYPE_CHECKING:
     from textual.events import Key
     from textual.geometry import Size
 
-    from rsb_bridge.api import EngineApi
+    from rsb_bridge.feature_api import EngineApi, RouteSnapshot, Snapshot
     from rsb_bridge.model.by_hand import VelocityLimits
-    from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
-    from rsb_console.console_api import Console
-    from rsb_console.screens.main import MainScreen
+    from rsb_console.feature_console import Console, MainScreen
 
 TWIST, TWIST_STAMPED = (f"geometry_msgs/msg/{name}" for name in ("Twist", "TwistStamped"))
 _RATE = 10.0

@@ -5,20 +5,17 @@ from __future__ import annotations
 import asyncio
 from typing import TYPE_CHECKING, NamedTuple
 
-from rsb_bridge.api import EngineError
+from rsb_bridge.feature_api import Clock, EngineError, Wording, join_first
 from rsb_bridge.model.audience import NOBODY, Audience
 from rsb_bridge.model.by_hand import OLD_AFTER
-from rsb_bridge.model.clock import Clock
-from rsb_bridge.model.text import join_first
-from rsb_bridge.model.wording import Wording
 from rsb_console.notation import formats
 from rsb_extras.driving.publish_requests import Publish
 
 if TYPE_CHECKING:
     from collections.abc import Collection
 
-    from rsb_bridge.api import EngineApi
-    from rsb_bridge.model.snapshot import Ledger, RouteSnapshot, Snapshot
+    from rsb_bridge.feature_api import EngineApi, RouteSnapshot, Snapshot
+    from rsb_bridge.model.snapshot import Ledger
     from rsb_extras.driving.publish_requests import Published
 
 TRIES = 3

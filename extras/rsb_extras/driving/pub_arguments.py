@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rsb_console.command.argument_values import count, within
-from rsb_console.command.remote_arguments import NO_BRIDGE, bridge_options, subcommand
+from rsb_console.feature_console import NO_BRIDGE, bridge_options, count, subcommand, within
 
 if TYPE_CHECKING:
     from argparse import Namespace
 
-    from rsb_console.command.remote_arguments import AddCommand, Complete
+    from rsb_console.feature_console import AddCommand, Complete
 
 _MORE = f"""\
 The bridge publishes on its side, as a node would, and its routes take the message to

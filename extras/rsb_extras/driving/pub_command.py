@@ -7,14 +7,21 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from msgspec.structs import asdict
 
-from rsb_bridge.api import EngineError
+from rsb_bridge.feature_api import Clock, EngineError, Wording, escape_text
 from rsb_bridge.model.by_hand import END_NONE, END_ZERO, OLD_AFTER
-from rsb_bridge.model.clock import Clock
-from rsb_bridge.model.text import escape_text
-from rsb_bridge.model.wording import Wording
-from rsb_console.command.formatting import json_line
-from rsb_console.command.shell import FAILURE, OK, print_error, print_line, print_lines
-from rsb_console.command.target import UsageError, attached, done, fields_from, result
+from rsb_console.command.target import fields_from
+from rsb_console.feature_console import (
+    FAILURE,
+    OK,
+    UsageError,
+    attached,
+    done,
+    json_line,
+    print_error,
+    print_line,
+    print_lines,
+    result,
+)
 from rsb_extras.driving.landing import REPORTED_WITHIN, TRIES, ByHandText, Landing, hearing
 from rsb_extras.driving.publish_requests import LONGEST_REST, REST_AFTER, DraftMessage, Publish
 
@@ -22,9 +29,8 @@ if TYPE_CHECKING:
     from argparse import Namespace
     from collections.abc import Iterable
 
-    from rsb_bridge.control.remote_engine import RemoteEngine
+    from rsb_bridge.feature_api import RemoteEngine, RouteSnapshot, Snapshot
     from rsb_bridge.model.audience import Audience
-    from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
     from rsb_extras.driving.landing import Landed
     from rsb_extras.driving.publish_requests import Published
 

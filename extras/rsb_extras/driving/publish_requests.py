@@ -7,9 +7,9 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
+from rsb_bridge.feature_api import Command, Effect, Right
 from rsb_bridge.model.audience import NOBODY, Audience
 from rsb_bridge.model.by_hand import TICKET_LIFE
-from rsb_bridge.model.commands import Command, Effect, Right
 
 REST_AFTER, LONGEST_REST = 0.5, 2.0
 """s, as usual and at most, after which an engine publishes by itself the message that ends a motion.

@@ -7,23 +7,18 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from textual import on, work
 
-from rsb_bridge.api import EngineError
-from rsb_bridge.model.commands import Effect
-from rsb_bridge.model.text import escape_text
-from rsb_bridge.model.wording import Wording
-from rsb_console.notation.glyphs import DONE, FAILED
+from rsb_bridge.feature_api import Effect, EngineError, Wording, escape_text
+from rsb_console.feature_console import DIALOG, DONE, FAILED, ConfirmScreen, Field, Spec
 from rsb_console.screens.by_hand_screen import ByHandScreen, FieldsText, fields_problem
-from rsb_console.screens.dialog import ConfirmScreen, beginning
-from rsb_console.terminal.input_queue import DIALOG
-from rsb_console.widgets.form import Field, Spec, TextField
+from rsb_console.screens.dialog import beginning
+from rsb_console.widgets.form import TextField
 from rsb_extras.driving.landing import REPORTED_WITHIN, Landing, hearing, publish
 from rsb_extras.driving.publish_requests import DraftMessage
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from rsb_console.console_api import Console
-    from rsb_console.screens.main import MainScreen
+    from rsb_console.feature_console import Console, MainScreen
     from rsb_extras.driving.publish_requests import Published
 
 _TYPED_FOR = 0.5

@@ -14,38 +14,43 @@ from rsb_bridge.cdr.decoder import decode
 from rsb_bridge.cdr.description import hash_of_text, read_description
 from rsb_bridge.cdr.known_types import reduced, speeds_of, stamped
 from rsb_bridge.config.fields_text import ITEMS, STEPS, read_fields, write_fields
-from rsb_bridge.engine.part import MovingPart
-from rsb_bridge.link.extension import LinkError, check_names
+from rsb_bridge.feature_api import (
+    Endpoint,
+    EventCode,
+    Level,
+    LinkError,
+    MovingPart,
+    Qos,
+    Receiver,
+    RosError,
+    Sender,
+    TopicSpec,
+    Wording,
+    check_names,
+    join_first,
+    sanitize_text,
+)
 from rsb_bridge.link.link import topics_of_peer
 from rsb_bridge.link.peer_operators import acting_operator
 from rsb_bridge.model.by_hand import TICKET_LIFE, TWISTS, smallest_limits
 from rsb_bridge.model.calls import Refused
-from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.commands import account, console
 from rsb_bridge.model.demands import NO_DEMAND
 from rsb_bridge.model.names import expand_type_name
-from rsb_bridge.model.qos import Qos, match_publishers, match_subscriptions
-from rsb_bridge.model.snapshot import Level
-from rsb_bridge.model.text import join_first, sanitize_text
-from rsb_bridge.model.wording import Wording
+from rsb_bridge.model.qos import match_publishers, match_subscriptions
 from rsb_bridge.ros.announcements import BY_HAND, Origin
-from rsb_bridge.ros.ros_interface import Endpoint, RosError, TopicSpec
 from rsb_bridge.route.arming import without_history
 from rsb_bridge.route.crossing import Crossing
 from rsb_bridge.route.gates import why_not_by_hand
 from rsb_bridge.route.listeners import audience, mismatch
 from rsb_bridge.route.peeking import PeekError
-from rsb_bridge.route.receiver import Receiver
-from rsb_bridge.route.sender import Sender
 from rsb_bridge.wire.messages import ByHand
 from rsb_extras.driving.publish_requests import Draft, DraftMessage, Publish, Published
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
 
-    from rsb_bridge.engine.bridge import Bridge
-    from rsb_bridge.model.snapshot import Snapshot
-    from rsb_bridge.ros.ros_interface import Publisher
+    from rsb_bridge.feature_api import Bridge, Publisher, Snapshot
     from rsb_bridge.telemetry.event_log import About
 
 TOPICS = 32

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from rsb_bridge.feature import Feature, SessionKey
+from rsb_bridge.feature_api import Feature, SessionKey
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
     from pathlib import Path
 
-    from rsb_bridge.engine.bridge import Bridge
-    from rsb_bridge.engine.part import EnginePart
+    from rsb_bridge.feature_api import Bridge, EnginePart
 
 DIAGNOSTICS_TOPIC: SessionKey[str | None] = SessionKey(
     "diagnostics_topic", str | None, "/diagnostics", live=True, own_topic=True

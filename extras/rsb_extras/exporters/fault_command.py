@@ -10,8 +10,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rsb_bridge.config.files import is_there, kind_of_file, stat_of, typed_path
-from rsb_bridge.model.wording import Wording
+from rsb_bridge.config.files import is_there, kind_of_file, stat_of
+from rsb_bridge.feature_api import Wording, typed_path
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -12,11 +12,11 @@ from collections import deque
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from rsb_bridge.engine.part import EnginePart
+from rsb_bridge.feature_api import TEXT_LENGTH, EnginePart, Level, LinkSnapshot, sanitize_text
 from rsb_bridge.model.faults import ChangeKind, FaultChange, FaultWatch
-from rsb_bridge.model.limits import REASON_LENGTH, TEXT_LENGTH
-from rsb_bridge.model.snapshot import Level, LinkSnapshot, PatternSnapshot
-from rsb_bridge.model.text import encodable, sanitize_text
+from rsb_bridge.model.limits import REASON_LENGTH
+from rsb_bridge.model.snapshot import PatternSnapshot
+from rsb_bridge.model.text import encodable
 from rsb_extras.exporters import ON_FAULT
 from rsb_extras.exporters.exporter_codes import ExporterCode
 from rsb_extras.exporters.fault_command import command_words, program_path, program_problem
@@ -25,8 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
     from pathlib import Path
 
-    from rsb_bridge.context import Context
-    from rsb_bridge.model.snapshot import Snapshot
+    from rsb_bridge.feature_api import Context, Snapshot
 
 VERSION = 1
 """Grows when a field is removed or changes its meaning; a new field does not change it."""

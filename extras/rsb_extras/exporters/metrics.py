@@ -30,8 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
     from wsgiref.types import StartResponse, WSGIApplication, WSGIEnvironment
 
-    from rsb_bridge.model.snapshot import LinkSnapshot, RouteSnapshot, Snapshot
-    from rsb_bridge.telemetry.event_log import EventLog
+    from rsb_bridge.feature_api import EventLog, LinkSnapshot, RouteSnapshot, Snapshot
 
 OTHER = "other"
 """The label of a cause that is not listed below: a peer may make up any."""

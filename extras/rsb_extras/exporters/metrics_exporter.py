@@ -5,8 +5,7 @@ from __future__ import annotations
 import threading
 from typing import TYPE_CHECKING
 
-from rsb_bridge.engine.part import EnginePart
-from rsb_bridge.model.snapshot import Level
+from rsb_bridge.feature_api import EnginePart, Level
 from rsb_extras.exporters import METRICS
 from rsb_extras.exporters.exporter_codes import ExporterCode
 from rsb_extras.exporters.rules import host_and_port
@@ -14,8 +13,7 @@ from rsb_extras.exporters.rules import host_and_port
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from rsb_bridge.context import Context
-    from rsb_bridge.model.snapshot import Snapshot
+    from rsb_bridge.feature_api import Context, Snapshot
 
 _RETRIED_EVERY = 10.0
 """s until an address that is taken is tried again. A round figure: an operator who has freed it waits so long."""

@@ -5,27 +5,19 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING
 
-from rsb_bridge.engine.part import EnginePart
+from rsb_bridge.feature_api import Endpoint, EnginePart, Level, Qos, RosError, TopicSpec, Wording, join_first
 from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.figure_table import Of, Unit, figures
-from rsb_bridge.model.qos import Qos
-from rsb_bridge.model.snapshot import Level
-from rsb_bridge.model.text import join_first
-from rsb_bridge.model.wording import Wording
 from rsb_bridge.ros.announcements import Origin
-from rsb_bridge.ros.ros_interface import Endpoint, RosError, TopicSpec
 from rsb_extras.exporters import DIAGNOSTICS_TOPIC, DRIVER_TOPIC
 from rsb_extras.exporters.exporter_codes import ExporterCode
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
-    from rsb_bridge.context import Context
-    from rsb_bridge.feature import SessionKey
+    from rsb_bridge.feature_api import Context, LinkSnapshot, Publisher, RouteSnapshot, SessionKey, Snapshot
     from rsb_bridge.model.calls import Fields
     from rsb_bridge.model.figure_table import Figure
-    from rsb_bridge.model.snapshot import LinkSnapshot, RouteSnapshot, Snapshot
-    from rsb_bridge.ros.ros_interface import Publisher
 
 _LEVELS = ("0", "1", "2")
 """OK, WARN and ERROR of ``diagnostic_msgs/DiagnosticStatus``, by severity."""

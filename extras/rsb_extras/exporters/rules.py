@@ -10,9 +10,9 @@ from rsb_bridge.config.advice import interface_problem
 from rsb_bridge.config.decoding import show
 from rsb_bridge.config.name_rules import name_problems
 from rsb_bridge.config.validation import SessionMistake, is_host, is_ip, lacks_zone
+from rsb_bridge.feature_api import Wording
 from rsb_bridge.model.demands import local_name
 from rsb_bridge.model.limits import PORT
-from rsb_bridge.model.wording import Wording
 from rsb_extras.exporters import DIAGNOSTICS_TOPIC, DRIVER_TOPIC, METRICS, ON_FAULT
 from rsb_extras.exporters.fault_command import command_warnings, command_words
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from rsb_bridge.model.session import Session
+    from rsb_bridge.feature_api import Session
 
 
 class ExporterText(Wording):

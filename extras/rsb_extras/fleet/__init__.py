@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rsb_bridge.feature import Feature
+from rsb_bridge.feature_api import Feature
 
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Iterable, Mapping
 
-    from rsb_console.actions.action import Action
-    from rsb_console.command.remote_arguments import AddCommand, Complete
+    from rsb_console.feature_console import Action, AddCommand, Complete
 
 
 class FleetFeature(Feature):

@@ -11,18 +11,24 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple, Protocol
 import msgspec
 from platformdirs import user_state_path
 
-from rsb_bridge.config.files import make_folder, replace_file
-from rsb_bridge.model.limits import TEXT_LENGTH, TIME
+from rsb_bridge.feature_api import (
+    TEXT_LENGTH,
+    RobotState,
+    RobotSummary,
+    join_first,
+    make_folder,
+    replace_file,
+    sanitize_text,
+)
+from rsb_bridge.model.limits import TIME
 from rsb_bridge.model.names import natural_order
-from rsb_bridge.model.robot_summary import RobotState, RobotSummary, drop_repeated_faults
-from rsb_bridge.model.text import join_first, sanitize_text
+from rsb_bridge.model.robot_summary import drop_repeated_faults
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
     from pathlib import Path
 
-    from rsb_bridge.control.remote_engine import RemoteEngine
-    from rsb_bridge.model.clock import Clock
+    from rsb_bridge.feature_api import Clock, RemoteEngine
 
 HISTORY = 12
 """Message rates that are kept of each robot, one every `_SAMPLED_EVERY` s: of a minute."""

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from rsb_console.actions.action import Action, Group
-from rsb_console.actions.all_actions import ACTIONS
+from rsb_console.feature_console import ACTIONS, Action, Group
 
 _ON_FLEET = {
     "back": "Drop the filter, the marks",

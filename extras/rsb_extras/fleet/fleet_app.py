@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 from textual import work
 
-from rsb_bridge.model.commands import Effect
+from rsb_bridge.feature_api import Effect
 from rsb_console.app import SSH_RATE, ConsoleApp
 from rsb_console.command import console_command
+from rsb_console.feature_console import DIALOG, MainScreen, TerminalApp
 from rsb_console.notation.ascii_signs import prefers_ascii
-from rsb_console.screens.main import MainScreen
-from rsb_console.terminal.input_queue import DIALOG
-from rsb_console.terminal_app import ShutdownReason, TerminalApp
+from rsb_console.terminal_app import ShutdownReason
 from rsb_extras.fleet.fleet_actions import FLEET_ACTIONS
 from rsb_extras.fleet.fleet_screen import FleetScreen
 from rsb_extras.fleet.fleet_table import FleetView
@@ -24,7 +23,7 @@ if TYPE_CHECKING:
 
     from textual.screen import Screen
 
-    from rsb_console.actions.action import Action
+    from rsb_console.feature_console import Action
     from rsb_extras.fleet.fleet import Robot, RobotFleet
 
 _BRIDGES_GO_ON = "All bridges go on; only this console ends."
@@ -77,7 +76,7 @@ class FleetApp(TerminalApp["Robot"]):
 
     @work(exclusive=True, group=DIALOG)
     async def action_quit(self) -> None:  # type: ignore[override]  # a worker, because it asks
-        from rsb_console.screens.dialog import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.feature_console import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
 
         effect = Effect.LOSES if self._after_quit else Effect.HARMLESS
         if await self.ask(ConfirmScreen("Quit?", self._after_quit or _BRIDGES_GO_ON, "Quit", effect)):

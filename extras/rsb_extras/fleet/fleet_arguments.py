@@ -5,15 +5,15 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from rsb_console.command.argument_values import count, seconds
 from rsb_console.command.command_parser import CommandParser
-from rsb_console.command.remote_arguments import bridge_options, console_options, inherit_bridge_options, subcommand
+from rsb_console.command.remote_arguments import console_options, inherit_bridge_options
+from rsb_console.feature_console import bridge_options, count, seconds, subcommand
 from rsb_console.library_internals.argparse_internals import Subcommands, commands_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from rsb_console.command.remote_arguments import AddCommand, Complete
+    from rsb_console.feature_console import AddCommand, Complete
 
 _NO_SERVER = """\
   2  wrong usage: bad arguments, no such robot or group

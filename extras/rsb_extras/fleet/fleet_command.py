@@ -13,14 +13,19 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from rsb_bridge.control.bridges import running_bridges
+from rsb_bridge.feature_api import Clock, RobotState, plural, running_bridges
 from rsb_bridge.model.calls import FIELDS_LENGTH
-from rsb_bridge.model.clock import Clock
-from rsb_bridge.model.robot_summary import RobotState
-from rsb_bridge.model.text import plural
-from rsb_console.command.formatting import json_line
-from rsb_console.command.shell import FAILURE, OK, USAGE, print_error, print_line
-from rsb_console.command.target import NoBridgeError, UsageError, agreed, chosen_bridge
+from rsb_console.command.target import agreed, chosen_bridge
+from rsb_console.feature_console import (
+    FAILURE,
+    OK,
+    USAGE,
+    NoBridgeError,
+    UsageError,
+    json_line,
+    print_error,
+    print_line,
+)
 from rsb_extras.fleet.fleet import Memory, RobotFleet, UnknownRobotError, memory_path
 from rsb_extras.fleet.rolling import Rollout, names_of, report, said, way_back
 from rsb_extras.fleet.server_source import ServerFleet

@@ -12,23 +12,12 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rsb_bridge.api import EngineError
-from rsb_bridge.model.clock import Clock
-from rsb_bridge.model.robot_summary import RobotState
-from rsb_bridge.model.snapshot import State
+from rsb_bridge.feature_api import Clock, EngineError, RobotState, State
 from rsb_console.command.headless import Signals
 from rsb_console.command.local_commands import can_draw
-from rsb_console.command.shell import (
-    FAILURE,
-    HUNG_UP,
-    INTERRUPTED,
-    OK,
-    USAGE,
-    allow_many_descriptors,
-    print_error,
-    print_line,
-)
+from rsb_console.command.shell import HUNG_UP, allow_many_descriptors
 from rsb_console.command.ways import ways
+from rsb_console.feature_console import FAILURE, INTERRUPTED, OK, USAGE, print_error, print_line
 from rsb_extras.demo.demo_command import HOW_TO_END
 from rsb_extras.demo.demo_session import SimulatedPart, need_ros, own_domain
 from rsb_extras.demo.processes import ProcessError

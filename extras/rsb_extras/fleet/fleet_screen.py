@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING
 from textual import work
 from textual.screen import Screen
 
-from rsb_bridge.model.text import join_first
-from rsb_console.actions.action import Group
+from rsb_bridge.feature_api import join_first
 from rsb_console.actions.all_actions import bindings
+from rsb_console.feature_console import DIALOG, Group, Prompt
 from rsb_console.terminal.driver import copy
-from rsb_console.terminal.input_queue import DIALOG
 from rsb_console.widgets.bars import KeyBar, KeyEntry
-from rsb_console.widgets.filter import Prompt, table_title
+from rsb_console.widgets.filter import table_title
 from rsb_extras.fleet.fleet_actions import BY_ID, FLEET_ACTIONS
 from rsb_extras.fleet.fleet_table import FleetStatus, FleetTable, FleetView, RobotDetail
 
@@ -25,7 +24,7 @@ if TYPE_CHECKING:
     from textual.app import ComposeResult
 
     from rsb_console.console_api import ConsoleShell
-    from rsb_console.widgets.selectable_list import SelectableList
+    from rsb_console.feature_console import SelectableList
     from rsb_extras.fleet.fleet import Robot, RobotFleet
 
 _NAMED = 5

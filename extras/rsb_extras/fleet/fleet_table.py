@@ -8,20 +8,18 @@ from dataclasses import dataclass, field
 from functools import cache
 from typing import TYPE_CHECKING, NamedTuple
 
-from rsb_bridge.model.robot_summary import RobotState
-from rsb_bridge.model.snapshot import State
+from rsb_bridge.feature_api import RobotState, State
+from rsb_console.feature_console import STATE_SIGN, STATE_WORD, FixedLines, fit, sparkline
 from rsb_console.notation import formats
-from rsb_console.notation.glyphs import ACK_WORD, KNOWN, STATE_SIGN, STATE_WORD, sparkline
-from rsb_console.widgets.lines import FixedLines, fit
+from rsb_console.notation.glyphs import ACK_WORD, KNOWN
 from rsb_console.widgets.selectable_list import Column, Order, SortedTable, filled
 from rsb_console.widgets.topics import HISTORY, WIDE
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
-    from rsb_bridge.model.robot_summary import RobotSummary
-    from rsb_console.widgets.filter import RowFilter
-    from rsb_console.widgets.lines import Line
+    from rsb_bridge.feature_api import RobotSummary
+    from rsb_console.feature_console import Line, RowFilter
     from rsb_console.widgets.selectable_list import Layout
     from rsb_extras.fleet.fleet import Robot, RobotFleet
 

@@ -20,16 +20,14 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from rsb_bridge.config.session_file import load
 from rsb_bridge.control.bridges import serve
-from rsb_bridge.engine import Engine
-from rsb_bridge.model.codes import EventCode
+from rsb_bridge.feature_api import Engine, EventCode, load
 from rsb_extras.demo.stand_in import Metronome, StandIn, Talk
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from rsb_bridge.control.control_server import ControlServer
+    from rsb_bridge.feature_api import ControlServer
 
 _ATTEMPTS = (EventCode.LINK_UNREACHABLE, EventCode.LINK_REFUSED)
 

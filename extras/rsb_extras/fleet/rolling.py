@@ -5,17 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, NamedTuple
 
-from rsb_bridge.api import EngineError, NoAnswerError
+from rsb_bridge.api import NoAnswerError
 from rsb_bridge.config.session_changes import changes
+from rsb_bridge.feature_api import EngineError
 from rsb_console.session.draft import TypedError, suggestion, typed_topic, values_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from rsb_bridge.api import EngineApi
-    from rsb_bridge.model.robot_summary import RobotSummary
-    from rsb_bridge.model.session import Session, Topic
-    from rsb_bridge.model.snapshot import RouteSnapshot
+    from rsb_bridge.feature_api import EngineApi, RobotSummary, RouteSnapshot, Session, Topic
     from rsb_extras.fleet.fleet import Robot, RobotFleet
 
 ANSWERED_WITHIN = 60.0  # s, as commands for one bridge: `command.target`

@@ -16,21 +16,28 @@ from textual.binding import Binding
 from textual.screen import ModalScreen
 from textual.widgets import Static
 
-from rsb_bridge.api import EngineError
 from rsb_bridge.config.file_form import KEYS
-from rsb_bridge.model.commands import Effect
-from rsb_bridge.model.text import join_first, plural
+from rsb_bridge.feature_api import Effect, EngineError, join_first, plural
+from rsb_console.feature_console import (
+    DONE,
+    FAILED,
+    ConfirmScreen,
+    Dialog,
+    Field,
+    Line,
+    ScrolledLines,
+    Spec,
+    Suggestion,
+    clip,
+)
 from rsb_console.notation import formats
-from rsb_console.notation.glyphs import DONE, FAILED, UNDER_WAY
-from rsb_console.screens.dialog import ConfirmScreen, Dialog
+from rsb_console.notation.glyphs import UNDER_WAY
 from rsb_console.screens.topic_fields import fields_by_kind
 from rsb_console.screens.topic_suggestions import padded
 from rsb_console.session.draft import SWITCHES, Ends, TypedError, typed_topic, values_of
 from rsb_console.terminal.input_queue import InputGate
 from rsb_console.widgets.controls import FieldInput
-from rsb_console.widgets.form import Field, Spec
-from rsb_console.widgets.lines import Line, ScrolledLines, clip
-from rsb_console.widgets.picker import PickField, Suggestion
+from rsb_console.widgets.picker import PickField
 from rsb_extras.fleet.rolling import Rollout, bridged_by, report, said, way_back
 
 if TYPE_CHECKING:

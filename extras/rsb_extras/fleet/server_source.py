@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 
-from rsb_bridge.api import EngineError
-from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.control.summaries import Batteries
+from rsb_bridge.feature_api import EngineError, RemoteEngine
 from rsb_bridge.model.commands import Reload, Restart, ShutDownLinks, Stop
 from rsb_bridge.model.robot_summary import LossWindow, of_clients
 
@@ -18,9 +17,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from rsb_bridge.model.commands import Command, R
-    from rsb_bridge.model.robot_summary import LostMessages, RobotSummary
-    from rsb_bridge.model.snapshot import Event, Snapshot
+    from rsb_bridge.feature_api import Command, Event, RobotSummary, Snapshot
+    from rsb_bridge.model.commands import R
+    from rsb_bridge.model.robot_summary import LostMessages
 
 
 _CONCERNS_ALL: Final[dict[type, str]] = {

@@ -15,7 +15,8 @@ from rsb_bridge.cdr.known_types import BATTERY_STATE, STRING
 from rsb_bridge.config import session_file
 from rsb_bridge.config.file_form import as_said, with_types
 from rsb_bridge.config.keys import write_key
-from rsb_bridge.model.session import Client, Operator, Session, Topic, session_keys
+from rsb_bridge.feature_api import Client, Session, Topic
+from rsb_bridge.model.session import Operator, session_keys
 from rsb_extras.demo import processes
 from rsb_extras.demo.demo_session import free_port
 from rsb_extras.demo.processes import READY_WITHIN, Process, ProcessError

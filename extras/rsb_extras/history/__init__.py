@@ -5,17 +5,14 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING
 
-from rsb_bridge.feature import Feature
+from rsb_bridge.feature_api import Feature
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from rsb_bridge.engine.engine import Engine
-    from rsb_bridge.engine.part import EngineObserver
-    from rsb_bridge.model.commands import Command
-    from rsb_bridge.model.snapshot import Event
-    from rsb_console.actions.action import Action
-    from rsb_console.command.remote_arguments import AddCommand, Complete
+    from rsb_bridge.feature_api import Command, EngineObserver, Event
+    from rsb_console.feature_console import Action, AddCommand, Complete
 
 
 class History(Feature):
@@ -38,7 +35,7 @@ class History(Feature):
         return (read_events(files.events, 0.0) for files in files_of(name, os.environ))
 
     def subcommands(self, add: AddCommand, complete: Complete) -> None:
-        from rsb_console.command.remote_arguments import EXIT, named_bridge_options, subcommand  # noqa: PLC0415
+        from rsb_console.feature_console import EXIT, named_bridge_options, subcommand  # noqa: PLC0415
 
         summary = "print the history of the last hours, even of a bridge that has ended"
         report = add("report", subcommand("rsb_extras.history.report_command:report"), summary, EXIT, after="events")
@@ -48,7 +45,7 @@ class History(Feature):
         report.add_argument("--csv", action="store_true", help="print CSV, for a spreadsheet")
 
     def actions(self) -> Iterable[Action]:
-        from rsb_console.actions.action import Action, Group, late  # noqa: PLC0415
+        from rsb_console.feature_console import Action, Group, late  # noqa: PLC0415
 
         return (
             Action(

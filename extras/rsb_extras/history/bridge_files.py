@@ -8,9 +8,9 @@ import fcntl
 import os
 from typing import TYPE_CHECKING
 
-from rsb_bridge.config.files import make_folder, owner_only
+from rsb_bridge.config.files import owner_only
 from rsb_bridge.config.state_folder import searched_folders
-from rsb_bridge.model.names import file_stem
+from rsb_bridge.feature_api import file_stem, make_folder
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

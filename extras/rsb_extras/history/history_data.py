@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Final
 
-from rsb_bridge.model.commands import Command, Right
-from rsb_bridge.model.snapshot import Event  # noqa: TC001 -- these types must be known where an answer is decoded
+from rsb_bridge.feature_api import Command, Event, Right
 
 KEPT_FOR = 86400.0
 """s that are remembered."""

@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING
 import msgspec
 import zstandard
 
-from rsb_bridge.config.files import owner_only, replace_file, why_not_written
+from rsb_bridge.config.files import owner_only
 from rsb_bridge.config.folder_owner import acting_in_folder
+from rsb_bridge.feature_api import Event, Level, file_stem, replace_file, why_not_written
 from rsb_bridge.model.limits import TIME
-from rsb_bridge.model.names import file_stem
-from rsb_bridge.model.snapshot import Event, Level
 from rsb_extras.history.bridge_files import Claim, Files
 from rsb_extras.history.history_codes import HistoryCode
 from rsb_extras.history.recorder import SET_WITHIN
@@ -24,8 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-    from rsb_bridge.model.clock import Clock
-    from rsb_bridge.telemetry.event_log import EventLog
+    from rsb_bridge.feature_api import Clock, EventLog
     from rsb_extras.history.history_data import HistoryReport
     from rsb_extras.history.recorder import Recorder
 

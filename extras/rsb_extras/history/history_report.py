@@ -12,9 +12,8 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from rsb_bridge.config.files import new_file
-from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.text import escape_json, one_line, plural
-from rsb_bridge.model.wording import Wording
+from rsb_bridge.feature_api import EventCode, Wording, one_line, plural
+from rsb_bridge.model.text import escape_json
 from rsb_console.session.exports import cell, export_path, full_time
 from rsb_extras.history.history_data import KEPT_FOR
 
@@ -22,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
     from pathlib import Path
 
-    from rsb_bridge.model.snapshot import Event
+    from rsb_bridge.feature_api import Event
     from rsb_extras.history.history_data import HistoryReport, Outage, Track
 
 CSV_COLUMNS = (

@@ -11,16 +11,20 @@ from rich.cells import cell_len
 from textual.binding import Binding
 from textual.screen import ModalScreen
 
-from rsb_bridge.api import EngineError
-from rsb_bridge.config.files import why_not_written
-from rsb_bridge.model.snapshot import State
-from rsb_bridge.model.wording import Wording
+from rsb_bridge.feature_api import EngineError, State, Wording, why_not_written
+from rsb_console.feature_console import (
+    STATE_SIGN,
+    STATE_WORD,
+    Dialog,
+    FixedLines,
+    Line,
+    Prompt,
+    SelectableList,
+    fit,
+    sparkline,
+)
 from rsb_console.notation import formats
-from rsb_console.notation.glyphs import STATE_SIGN, STATE_WORD, sparkline
-from rsb_console.screens.dialog import Dialog
-from rsb_console.widgets.filter import Prompt
-from rsb_console.widgets.lines import FixedLines, Line, fit, fit_middle
-from rsb_console.widgets.selectable_list import SelectableList
+from rsb_console.widgets.lines import fit_middle
 from rsb_extras.history import history_report
 from rsb_extras.history.history_data import ReportHistory
 
@@ -29,9 +33,7 @@ if TYPE_CHECKING:
 
     from textual.app import ComposeResult
 
-    from rsb_console.console_api import Console
-    from rsb_console.screens.main import MainScreen
-    from rsb_console.widgets.filter import RowFilter
+    from rsb_console.feature_console import Console, MainScreen, RowFilter
     from rsb_extras.history.history_data import HistoryReport, Track
 
 SPANS = (3600.0, 8 * 3600.0, 24 * 3600.0)

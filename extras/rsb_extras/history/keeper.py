@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rsb_bridge.engine.part import EngineObserver
+from rsb_bridge.feature_api import EngineObserver
 from rsb_extras.history.history_data import ReportHistory
 from rsb_extras.history.history_files import Disk
 from rsb_extras.history.recorder import Recorder

@@ -8,7 +8,7 @@ import threading
 from concurrent.futures import Future
 from typing import TYPE_CHECKING, TypeVar
 
-from rsb_bridge.model.snapshot import Level
+from rsb_bridge.feature_api import Level
 from rsb_extras.history.history_codes import HistoryCode
 from rsb_extras.history.history_data import KEPT_FOR
 from rsb_extras.history.timeline import FROM_THE_FUTURE, Timeline, is_from_the_future
@@ -16,9 +16,7 @@ from rsb_extras.history.timeline import FROM_THE_FUTURE, Timeline, is_from_the_f
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from rsb_bridge.model.clock import Clock
-    from rsb_bridge.model.snapshot import Event, Snapshot
-    from rsb_bridge.telemetry.event_log import EventLog
+    from rsb_bridge.feature_api import Clock, Event, EventLog, Snapshot
     from rsb_extras.history.history_data import HistoryReport
     from rsb_extras.history.timeline import Saved
 

@@ -7,11 +7,9 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rsb_bridge.control.bridges import running_bridges
+from rsb_bridge.feature_api import Wording, running_bridges
 from rsb_bridge.installed_features import added
-from rsb_bridge.model.wording import Wording
-from rsb_console.command.shell import OK, print_line, print_lines
-from rsb_console.command.target import NoBridgeError, UsageError, attached, result
+from rsb_console.feature_console import OK, NoBridgeError, UsageError, attached, print_line, print_lines, result
 from rsb_extras.history import history_files
 from rsb_extras.history.bridge_files import EVENTS, Files, kept_bridges
 from rsb_extras.history.history_data import ReportHistory

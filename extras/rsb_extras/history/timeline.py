@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Literal
 
 import msgspec
 
+from rsb_bridge.feature_api import Cause, Event
 from rsb_bridge.model.session import Kind
-from rsb_bridge.model.snapshot import Event
-from rsb_bridge.model.verdict import Cause
 from rsb_extras.history import history_data
 from rsb_extras.history.history_data import KEPT_FOR, LINK, Gap, HistoryReport
 from rsb_extras.history.track_record import MINUTE, OUTAGES_OF_ONE, Ended, MinuteSeries, Time, TrackRecord
@@ -18,7 +17,7 @@ from rsb_extras.history.track_record import MINUTE, OUTAGES_OF_ONE, Ended, Minut
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot, State
+    from rsb_bridge.feature_api import RouteSnapshot, Snapshot, State
     from rsb_extras.history.history_data import Outage, Track
 
 MOST_TRACKS = 2000

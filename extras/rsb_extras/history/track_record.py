@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple, TypeAlias
 
 from msgspec import Meta
 
+from rsb_bridge.feature_api import State, sanitize_text
 from rsb_bridge.model.limits import TIME
-from rsb_bridge.model.snapshot import State
-from rsb_bridge.model.text import sanitize_text
 from rsb_extras.history.history_data import KEPT_FOR, Outage, Track
 
 if TYPE_CHECKING:

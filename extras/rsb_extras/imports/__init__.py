@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from rsb_bridge.feature import Feature
+from rsb_bridge.feature_api import Feature
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
     from pathlib import Path
 
-    from rsb_console.actions.action import Action
-    from rsb_console.command.remote_arguments import AddCommand, Complete
+    from rsb_console.feature_console import Action, AddCommand, Complete
 
 
 class Imports(Feature):
@@ -30,7 +29,8 @@ class Imports(Feature):
         add_import_command(add, complete)
 
     def actions(self) -> Iterable[Action]:
-        from rsb_console.actions.action import Action, Beginning, Group, late  # noqa: PLC0415
+        from rsb_console.actions.action import Beginning  # noqa: PLC0415
+        from rsb_console.feature_console import Action, Group, late  # noqa: PLC0415
 
         import_session = Action(
             "import_session", "f3", "import", "Import a file of another bridge", Group.SESSION,

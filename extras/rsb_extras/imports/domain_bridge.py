@@ -13,17 +13,17 @@ import yaml
 from rsb_bridge.config.decoding import join, show
 from rsb_bridge.config.validation import build
 from rsb_bridge.config.yaml_text import Document, SessionError, scalar
+from rsb_bridge.feature_api import Wording
 from rsb_bridge.model.limits import DEFAULT_PORT
 from rsb_bridge.model.names import well_formed
 from rsb_bridge.model.qos import TIMES
 from rsb_bridge.model.session import Problem
-from rsb_bridge.model.wording import Wording
 from rsb_extras.imports.other_bridges import Choices, Imported
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from rsb_bridge.model.session import Session
+    from rsb_bridge.feature_api import Session
 
 _KNOWN = {"name", "from_domain", "to_domain", "mode", "topics"}
 _OF_A_TOPIC = {"type", "from_domain", "to_domain", "remap", "qos", "bidirectional", "reversed"}

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rsb_console.command.remote_arguments import subcommand
+from rsb_console.feature_console import subcommand
 
 if TYPE_CHECKING:
-    from rsb_console.command.remote_arguments import AddCommand, Complete
+    from rsb_console.feature_console import AddCommand, Complete
 
 
 def add_import_command(command: AddCommand, complete: Complete) -> None:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING
 
-from rsb_bridge.config.files import is_there, make_folder
+from rsb_bridge.config.files import is_there
 from rsb_bridge.config.keys import KeyFileError, write_key
-from rsb_bridge.config.session_file import SessionError, dump, save
-from rsb_bridge.model.wording import Wording
-from rsb_console.command.shell import FAILURE, OK, USAGE, print_error, print_line, print_lines
+from rsb_bridge.config.session_file import dump, save
+from rsb_bridge.feature_api import SessionError, Wording, make_folder
+from rsb_console.feature_console import FAILURE, OK, USAGE, print_error, print_line, print_lines
 from rsb_extras.imports.importing import import_file
 from rsb_extras.imports.other_bridges import Choices
 

@@ -8,13 +8,10 @@ from typing import TYPE_CHECKING
 
 from textual import on, work
 
-from rsb_bridge.config.files import typed_path
-from rsb_bridge.config.session_file import SessionError
-from rsb_bridge.model.commands import Effect
+from rsb_bridge.feature_api import Effect, SessionError, Wording, typed_path
 from rsb_bridge.model.limits import SAFE_DOMAIN
-from rsb_bridge.model.wording import Wording
+from rsb_console.feature_console import DIALOG, ConfirmScreen, Field, FormScreen, Spec
 from rsb_console.operations.session_operations import may_run
-from rsb_console.screens.dialog import ConfirmScreen
 from rsb_console.screens.new_session import YES_NO, MissingField, at_field, number
 from rsb_console.screens.save_screens import save_asking
 from rsb_console.screens.session_files import (
@@ -27,8 +24,6 @@ from rsb_console.screens.session_files import (
     yaml_files,
 )
 from rsb_console.session.saving import path_problem
-from rsb_console.terminal.input_queue import DIALOG
-from rsb_console.widgets.form import Field, FormScreen, Spec
 from rsb_console.widgets.picker import PickField
 from rsb_extras.imports.importing import import_file
 from rsb_extras.imports.other_bridges import Choices
@@ -36,9 +31,9 @@ from rsb_extras.imports.other_bridges import Choices
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Mapping
 
-    from rsb_bridge.model.session import Role, Session
-    from rsb_console.console_api import Console
-    from rsb_console.screens.main import MainScreen
+    from rsb_bridge.feature_api import Session
+    from rsb_bridge.model.session import Role
+    from rsb_console.feature_console import Console, MainScreen
 
 ROLES: dict[str, Role | None] = {"": None, "client": "client", "server": "server"}
 MOST_PROBLEMS = 4

@@ -6,8 +6,8 @@ import json
 from typing import TYPE_CHECKING, Any
 
 from rsb_bridge.config.yaml_text import SessionError, read_text, read_yaml
+from rsb_bridge.feature_api import Wording
 from rsb_bridge.model.session import Problem
-from rsb_bridge.model.wording import Wording
 from rsb_extras.imports.domain_bridge import import_domain_bridge
 from rsb_extras.imports.other_bridges import OtherBridge, origin_of
 from rsb_extras.imports.thesis import import_bringup

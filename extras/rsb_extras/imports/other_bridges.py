@@ -5,10 +5,11 @@ from __future__ import annotations
 from enum import Enum
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from rsb_bridge.model.wording import Wording
+from rsb_bridge.feature_api import Wording
 
 if TYPE_CHECKING:
-    from rsb_bridge.model.session import Role, Session
+    from rsb_bridge.feature_api import Session
+    from rsb_bridge.model.session import Role
 
 ZENOH_PLUGIN = "ros2dds"
 _DOMAINS = {"from_domain", "to_domain"}

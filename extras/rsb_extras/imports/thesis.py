@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Any
 from rsb_bridge.config.decoding import join, show
 from rsb_bridge.config.validation import build
 from rsb_bridge.config.yaml_text import SessionError
+from rsb_bridge.feature_api import Wording
 from rsb_bridge.model.limits import CHANNEL
 from rsb_bridge.model.names import SHORT_NAMES
 from rsb_bridge.model.session import Direction, Problem
 from rsb_bridge.model.transport_traits import is_mac
-from rsb_bridge.model.wording import Wording
 from rsb_extras.imports.other_bridges import Choices, Imported, bridge_nodes
 
 if TYPE_CHECKING:

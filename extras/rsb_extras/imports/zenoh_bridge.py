@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 from rsb_bridge.config.decoding import show
 from rsb_bridge.config.validation import build
 from rsb_bridge.config.yaml_text import SessionError
+from rsb_bridge.feature_api import Wording
 from rsb_bridge.model.limits import DEFAULT_PORT
 from rsb_bridge.model.names import well_formed
 from rsb_bridge.model.patterns import Pattern, is_pattern
 from rsb_bridge.model.session import Problem
-from rsb_bridge.model.wording import Wording
 from rsb_extras.imports.name_expressions import globs, patterns
 from rsb_extras.imports.other_bridges import ZENOH_PLUGIN, Choices, Imported
 

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rsb_bridge.feature import Feature
+from rsb_bridge.feature_api import Feature
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     import msgspec
 
-    from rsb_bridge.link.extension import Extension
-    from rsb_bridge.link.link import Link
-    from rsb_console.notation.link_fact import LinkFact
+    from rsb_bridge.feature_api import Extension, Link
+    from rsb_console.feature_console import LinkFact
 
 
 class MachineStateFeature(Feature):

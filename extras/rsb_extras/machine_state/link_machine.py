@@ -5,15 +5,14 @@ from __future__ import annotations
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
-from rsb_bridge.link.extension import Extension
-from rsb_bridge.model.snapshot import Level
+from rsb_bridge.feature_api import Extension, Level
 from rsb_extras.machine_state.machine_figures import MACHINE, MachineFault, MachineJudge, MachineState, shown
 from rsb_extras.machine_state.machine_reading import EVERY, MachineWatch
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from rsb_bridge.link.link import Link
+    from rsb_bridge.feature_api import Link
 
 _SHOWN_FOR = 3 * EVERY
 """s for which a report is shown: a peer that reads its machine no longer, or a lost link, leaves no old figures."""

@@ -10,10 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Final, NamedTuple, TypeAlias
 import msgspec
 from msgspec import Meta
 
-from rsb_bridge.feature import ShownField
-from rsb_bridge.model.wording import Wording
-from rsb_bridge.wire.messages import ControlMessageBase
-from rsb_bridge.wire.records import PRINTABLE, Count
+from rsb_bridge.feature_api import PRINTABLE, ControlMessageBase, Count, ShownField, Wording
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

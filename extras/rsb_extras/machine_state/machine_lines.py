@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rsb_bridge.model.text import plural
+from rsb_bridge.feature_api import plural
+from rsb_console.feature_console import LinkFact
 from rsb_console.notation import formats
-from rsb_console.notation.link_fact import LinkFact
 from rsb_extras.machine_state.machine_figures import MACHINE, MEGABYTE, MachineFault
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from rsb_bridge.model.snapshot import LinkSnapshot
+    from rsb_bridge.feature_api import LinkSnapshot
 
 
 def figures(link: LinkSnapshot) -> Sequence[str]:

@@ -7,14 +7,14 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from rsb_bridge.model.text import sanitize_text
+from rsb_bridge.feature_api import sanitize_text
 from rsb_extras.machine_state.machine_figures import MEGABYTE, PATH_LENGTH, MachineState
 
 if TYPE_CHECKING:
     import asyncio
     from collections.abc import Iterator
 
-    from rsb_bridge.context import Context
+    from rsb_bridge.feature_api import Context
 
 EVERY = 5.0
 """s between two readings, and so between two messages of a link."""

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, ClassVar
 
-from rsb_bridge.feature import Feature
+from rsb_bridge.feature_api import Feature
 from rsb_extras.zenoh import ZENOH
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from rsb_bridge.control.control_server import ControlServer
-    from rsb_console.command.ways import RemoteWay
+    from rsb_bridge.feature_api import ControlServer
+    from rsb_console.feature_console import RemoteWay
 
 
 class Operators(Feature):

@@ -10,8 +10,8 @@ from rsb_bridge.config.decoding import read
 from rsb_bridge.config.keys import Key, key_path, read_key
 from rsb_bridge.config.operator_keys import operator_name_problem
 from rsb_bridge.config.yaml_text import SessionError, read_text, read_yaml
+from rsb_bridge.feature_api import Wording
 from rsb_bridge.model.session import Problem
-from rsb_bridge.model.wording import Wording
 from rsb_extras.zenoh import ZenohSettings
 from rsb_extras.zenoh.zenoh_rules import settings_problems
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rsb_console.command.ways import RemoteWay
+from rsb_console.feature_console import RemoteWay
 
 if TYPE_CHECKING:
-    from rsb_bridge.control.remote_engine import RemoteEngine
+    from rsb_bridge.feature_api import RemoteEngine
     from rsb_extras.operators.fleet_file import FleetFile
     from rsb_extras.operators.zenoh_source import ZenohFleet
 
@@ -21,8 +21,8 @@ class FleetWay(RemoteWay):
         self._read()
 
     def attach(self, bridge: str, *, read_only: bool) -> RemoteEngine:
-        from rsb_bridge.control.remote_engine import attach  # noqa: PLC0415 -- the module says why, here and below
-        from rsb_console.command.shell import print_error  # noqa: PLC0415
+        from rsb_bridge.feature_api import attach  # noqa: PLC0415 -- the module says why, here and below
+        from rsb_console.feature_console import print_error  # noqa: PLC0415
         from rsb_extras.operators.zenoh_fleet import FleetConnector  # noqa: PLC0415
 
         connector = FleetConnector(self._read(), bridge)
@@ -39,7 +39,7 @@ class FleetWay(RemoteWay):
     def _read(self) -> FleetFile:
         from rsb_bridge.config.keys import KeyFileError  # noqa: PLC0415
         from rsb_bridge.config.yaml_text import SessionError  # noqa: PLC0415
-        from rsb_console.command.target import UsageError  # noqa: PLC0415
+        from rsb_console.feature_console import UsageError  # noqa: PLC0415
         from rsb_extras.operators.fleet_file import load_fleet  # noqa: PLC0415
 
         try:

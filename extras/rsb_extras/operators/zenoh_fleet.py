@@ -12,13 +12,9 @@ from typing import TYPE_CHECKING, NamedTuple
 from rsb_bridge.control.control_sockets import ControlError, UnclearError
 from rsb_bridge.control.sealed import OperatorConnector, SealedAcceptor
 from rsb_bridge.control.summaries import SummaryBuilder
-from rsb_bridge.engine import Engine
+from rsb_bridge.feature_api import Engine, EventCode, Level, Wording, join_first
 from rsb_bridge.model.budgets import Backoff
-from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import NAME_BYTES
-from rsb_bridge.model.snapshot import Level
-from rsb_bridge.model.text import join_first
-from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.trials import Trials, UnprovenError
 from rsb_extras.zenoh import ZENOH_HOST
 from rsb_extras.zenoh.endpoint import ROUTER_LOST
@@ -30,9 +26,9 @@ from rsb_extras.zenoh.zenoh_transport import ZenohTransport
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from rsb_bridge.control.control_server import ControlServer
     from rsb_bridge.control.remote_engine import Connection
     from rsb_bridge.engine.access import Access
+    from rsb_bridge.feature_api import ControlServer
     from rsb_extras.operators.fleet_file import FleetFile
     from rsb_extras.zenoh.endpoint import Seen, ZenohEndpoint
     from rsb_extras.zenoh.outbox import Header

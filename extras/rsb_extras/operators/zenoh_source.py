@@ -13,15 +13,14 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from rsb_bridge.control.control_sockets import ControlError
-from rsb_bridge.control.remote_engine import attach
 from rsb_bridge.control.summaries import watch
+from rsb_bridge.feature_api import RobotState, RobotSummary, attach, sanitize_text
 from rsb_bridge.model.budgets import Backoff
-from rsb_bridge.model.robot_summary import WHY_LENGTH, RobotState, RobotSummary, decode
-from rsb_bridge.model.text import sanitize_text
+from rsb_bridge.model.robot_summary import WHY_LENGTH, decode
 from rsb_extras.operators.zenoh_fleet import FleetConnector, FleetPresence
 
 if TYPE_CHECKING:
-    from rsb_bridge.control.remote_engine import RemoteEngine
+    from rsb_bridge.feature_api import RemoteEngine
     from rsb_extras.operators.fleet_file import FleetFile
     from rsb_extras.operators.zenoh_fleet import Member
 

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rsb_bridge.feature import Feature
+from rsb_bridge.feature_api import Feature
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from rsb_console.actions.action import Action
-    from rsb_console.notation.console_setting import ConsoleSetting
-    from rsb_console.preferences import Preferences
+    from rsb_console.feature_console import Action, ConsoleSetting, Preferences
     from rsb_extras.own_commands.own_command import OwnCommand
 
 

@@ -8,11 +8,9 @@ from contextvars import copy_context
 from functools import partial
 from typing import TYPE_CHECKING
 
-from rsb_bridge.model.commands import Effect
-from rsb_bridge.model.text import escape_text
-from rsb_bridge.model.wording import Wording
+from rsb_bridge.feature_api import Effect, Wording, escape_text
+from rsb_console.feature_console import ConfirmScreen
 from rsb_console.notation.formats import PatternRow
-from rsb_console.screens.dialog import ConfirmScreen
 from rsb_console.screens.main import MainText
 from rsb_extras.own_commands.interactive import run_in_terminal
 from rsb_extras.own_commands.output_screen import OutputScreen, code_text, end_of
@@ -22,9 +20,8 @@ from rsb_extras.own_commands.running import RUNNING
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from rsb_bridge.model.snapshot import LinkSnapshot, RouteSnapshot
-    from rsb_console.console_api import Console
-    from rsb_console.screens.main import MainScreen
+    from rsb_bridge.feature_api import LinkSnapshot, RouteSnapshot
+    from rsb_console.feature_console import Console, MainScreen
     from rsb_extras.own_commands.own_command import OwnCommand
     from rsb_extras.own_commands.running import RunningCommand
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from rsb_console.console_api import Console
+    from rsb_console.feature_console import Console
 
 
 async def run_in_terminal(console: Console, line: str) -> int:

@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING, ClassVar
 from rich.cells import cell_len
 from textual.binding import Binding
 
-from rsb_bridge.model.text import escape_text, one_line
+from rsb_bridge.feature_api import escape_text, one_line
+from rsb_console.feature_console import DONE, FAILED, FullScreen, ScrolledLines, clip
 from rsb_console.notation import formats
-from rsb_console.notation.glyphs import DONE, FAILED
-from rsb_console.screens.dialog import RUNNING, FullScreen
+from rsb_console.screens.dialog import RUNNING
 from rsb_console.terminal.driver import copy
-from rsb_console.widgets.lines import ScrolledLines, clip
 from rsb_extras.own_commands.running import KEPT_LINES
 
 if TYPE_CHECKING:
@@ -21,8 +20,7 @@ if TYPE_CHECKING:
 
     from textual.app import ComposeResult
 
-    from rsb_console.console_api import Console
-    from rsb_console.widgets.lines import Line
+    from rsb_console.feature_console import Console, Line
     from rsb_extras.own_commands.running import RunningCommand
 
 _LOOK_EVERY = 0.2

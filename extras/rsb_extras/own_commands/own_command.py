@@ -11,11 +11,10 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import msgspec
 from textual.keys import Keys, key_to_character
 
-from rsb_bridge.model.text import is_clean, join_first
-from rsb_bridge.model.wording import Wording
-from rsb_console.actions.action import Action, Group, late
+from rsb_bridge.feature_api import Wording, join_first
+from rsb_bridge.model.text import is_clean
+from rsb_console.feature_console import Action, ConsoleSetting, Group, late
 from rsb_console.library_internals.textual_internals import key_of
-from rsb_console.notation.console_setting import ConsoleSetting
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

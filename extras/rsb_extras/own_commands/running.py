@@ -15,7 +15,7 @@ import time
 from collections import deque
 from typing import TYPE_CHECKING, Final
 
-from rsb_bridge.model.text import one_line
+from rsb_bridge.feature_api import one_line
 
 if TYPE_CHECKING:
     from collections.abc import Callable

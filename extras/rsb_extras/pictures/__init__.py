@@ -4,23 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from rsb_bridge.feature import Feature
+from rsb_bridge.feature_api import Feature
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from rsb_bridge.engine.bridge import Bridge
-    from rsb_bridge.engine.part import EnginePart
-    from rsb_bridge.link.extension import Extension
-    from rsb_bridge.link.link import Link
-    from rsb_bridge.model.commands import Command
-    from rsb_bridge.model.finding import Check
-    from rsb_bridge.model.purposes import Purpose
-    from rsb_bridge.wire.messages import ControlMessageBase
-    from rsb_console.actions.action import Action
-    from rsb_console.command.remote_arguments import AddCommand, Complete
-    from rsb_console.notation.console_setting import ConsoleSetting
-    from rsb_console.screens.message_screen import MessageView
+    from rsb_bridge.feature_api import Bridge, Check, Command, ControlMessageBase, EnginePart, Extension, Link, Purpose
+    from rsb_console.feature_console import Action, AddCommand, Complete, ConsoleSetting, MessageView
 
 
 class Pictures(Feature):
@@ -58,7 +48,7 @@ class Pictures(Feature):
         add_look(add, complete)
 
     def checks(self) -> Iterable[Check]:
-        from rsb_bridge.model.finding import Check  # noqa: PLC0415
+        from rsb_bridge.feature_api import Check  # noqa: PLC0415
         from rsb_extras.pictures.confinement_check import confined  # noqa: PLC0415
         from rsb_extras.pictures.terminal_check import terminal  # noqa: PLC0415
 
@@ -75,8 +65,7 @@ class Pictures(Feature):
         return (LOOK,)
 
     def message_views(self) -> Iterable[MessageView]:
-        from rsb_console.actions.action import late  # noqa: PLC0415
-        from rsb_console.screens.message_screen import MessageView  # noqa: PLC0415
+        from rsb_console.feature_console import MessageView, late  # noqa: PLC0415
 
         place = "rsb_extras.pictures"
         return (MessageView("picture", late(f"{place}.drawing:has_picture"), late(f"{place}.view_screen:view")),)

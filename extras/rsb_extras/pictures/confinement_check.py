@@ -7,8 +7,7 @@ import subprocess
 import sys
 from typing import TYPE_CHECKING
 
-from rsb_bridge.model.finding import Finding, Grade
-from rsb_bridge.model.wording import Wording
+from rsb_bridge.feature_api import Finding, Grade, Wording
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -22,7 +22,8 @@ from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING, NamedTuple, cast
 
 from rsb_bridge.cdr.decoder import Items
-from rsb_bridge.model.text import sanitize_text, single_cells
+from rsb_bridge.feature_api import sanitize_text
+from rsb_bridge.model.text import single_cells
 from rsb_extras.pictures.picture import Cells
 
 if TYPE_CHECKING:

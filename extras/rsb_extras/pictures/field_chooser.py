@@ -10,10 +10,8 @@ from textual import on, work
 from textual.binding import Binding
 from textual.widgets import Input
 
-from rsb_bridge.api import EngineError
-from rsb_bridge.model.text import escape_text
-from rsb_bridge.model.wording import Wording
-from rsb_console.widgets.picker import Suggestion
+from rsb_bridge.feature_api import EngineError, Wording, escape_text
+from rsb_console.feature_console import Suggestion
 from rsb_extras.pictures.look_requests import EndLook, LookAtTopics
 from rsb_extras.pictures.picture import TOPICS_AT_ONCE, Wish, field_of, split_field
 from rsb_extras.pictures.plots import MOST_CURVES
@@ -23,8 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from rsb_bridge.model.snapshot import TopicInfo
-    from rsb_console.console_api import Console
-    from rsb_console.widgets.lines import Line
+    from rsb_console.feature_console import Console, Line
     from rsb_extras.pictures.layouts import Subject
     from rsb_extras.pictures.picture import FieldNumber
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from rsb_bridge.model.wording import Wording
+from rsb_bridge.feature_api import Wording
 from rsb_extras.pictures.drawing import Canvas, UndrawableError, nested, number, raw
 from rsb_extras.pictures.transforms import FAR, Transform, pose
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rsb_bridge.model.wording import Wording
+from rsb_bridge.feature_api import Wording
 from rsb_extras.pictures.blocks import image_rows, wished_pixels
 from rsb_extras.pictures.graphics import protocol_of
 

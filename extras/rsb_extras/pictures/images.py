@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rsb_bridge.model.wording import Wording
+from rsb_bridge.feature_api import Wording
 from rsb_extras.pictures.drawing import Drawn, UndrawableError, View, nested, raw, text
 from rsb_extras.pictures.picture import LONGEST_SIDE, MOST_COLUMNS, MOST_ROWS, PICTURE_LIMIT, Pixels
 

@@ -19,14 +19,15 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import msgspec
 from msgspec import Meta
 
-from rsb_bridge.model.wording import Wording
-from rsb_console.notation.console_setting import ConsoleSetting, placed
+from rsb_bridge.feature_api import Wording
+from rsb_console.feature_console import ConsoleSetting
+from rsb_console.notation.console_setting import placed
 from rsb_extras.pictures.picture import MOST_RATE, TOPICS_AT_ONCE, Wish
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from rsb_console.console_api import Console
+    from rsb_console.feature_console import Console
 
 RATES, LOG = "rates", "log"
 """Tiles that show no topic's messages, by the names that layouts have for them."""

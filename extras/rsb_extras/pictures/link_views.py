@@ -15,17 +15,26 @@ from typing import TYPE_CHECKING, Annotated
 import msgspec
 from msgspec import Meta
 
-from rsb_bridge.config.rights import DeniedUse, Use
-from rsb_bridge.link.extension import Extension, LinkError, check_names
-from rsb_bridge.link.internal_routes import InternalRoutes
-from rsb_bridge.link.questions import Questions
-from rsb_bridge.model.purposes import Purpose
-from rsb_bridge.model.snapshot import Level
-from rsb_bridge.model.text import sanitize_text
-from rsb_bridge.model.wording import Wording
-from rsb_bridge.ros.internal_ends import BytesDrain, BytesSource
-from rsb_bridge.wire.messages import ControlMessageBase
-from rsb_bridge.wire.records import Count, Name, Reason, RouteId
+from rsb_bridge.config.rights import Use
+from rsb_bridge.feature_api import (
+    BytesDrain,
+    BytesSource,
+    ControlMessageBase,
+    Count,
+    DeniedUse,
+    Extension,
+    InternalRoutes,
+    Level,
+    LinkError,
+    Name,
+    Purpose,
+    Questions,
+    Reason,
+    RouteId,
+    Wording,
+    check_names,
+    sanitize_text,
+)
 from rsb_extras.pictures.picture import (
     PICTURE_LIMIT,
     TOPICS_AT_ONCE,
@@ -40,10 +49,7 @@ from rsb_extras.pictures.picture import (
 from rsb_extras.pictures.topic_view import TopicView
 
 if TYPE_CHECKING:
-    from rsb_bridge.config.rights import Rights
-    from rsb_bridge.context import Context
-    from rsb_bridge.link.link import Link
-    from rsb_bridge.route.route import Route
+    from rsb_bridge.feature_api import Context, Link, Rights, Route
     from rsb_extras.pictures.picture import Cells, Pixels, Series
 
 VIEWS_OF_PEER = 9

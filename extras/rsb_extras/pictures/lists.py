@@ -8,7 +8,7 @@ from collections import deque
 from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.cdr.decoder import Items
-from rsb_bridge.model.wording import Wording
+from rsb_bridge.feature_api import Wording
 from rsb_extras.pictures.drawing import Canvas, Drawn, UndrawableError, View, elements, number, text
 
 if TYPE_CHECKING:

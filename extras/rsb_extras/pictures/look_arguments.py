@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rsb_console.command.argument_values import count, timeout, within
-from rsb_console.command.remote_arguments import NO_BRIDGE, bridge_options, subcommand
+from rsb_console.command.argument_values import timeout
+from rsb_console.feature_console import NO_BRIDGE, bridge_options, count, subcommand, within
 
 if TYPE_CHECKING:
-    from rsb_console.command.remote_arguments import AddCommand, Complete
+    from rsb_console.feature_console import AddCommand, Complete
 
 _MORE = f"""\
 The side that publishes the topic draws it, so that only the picture crosses the

@@ -16,13 +16,11 @@ import msgspec
 from rich.console import COLOR_SYSTEMS
 from rich.style import Style
 
-from rsb_bridge.api import EngineError
-from rsb_bridge.config.files import replace_file
-from rsb_bridge.model.text import escape_text, single_cells
-from rsb_bridge.model.wording import Wording
-from rsb_console.command.formatting import json_line
-from rsb_console.command.shell import FAILURE, OK, print_line, shows_ascii
-from rsb_console.command.target import UsageError, attached, done, failed, other_side
+from rsb_bridge.feature_api import EngineError, Wording, escape_text, replace_file
+from rsb_bridge.model.text import single_cells
+from rsb_console.command.shell import shows_ascii
+from rsb_console.command.target import other_side
+from rsb_console.feature_console import FAILURE, OK, UsageError, attached, done, failed, json_line, print_line
 from rsb_console.notation import formats
 from rsb_console.notation.ascii_signs import to_ascii
 from rsb_console.terminal.terminal_facts import ask, facts_before_answers
@@ -37,7 +35,7 @@ from rsb_extras.pictures.picture_rows import UnreadableError, picture_rows, read
 if TYPE_CHECKING:
     from argparse import Namespace
 
-    from rsb_bridge.control.remote_engine import RemoteEngine
+    from rsb_bridge.feature_api import RemoteEngine
     from rsb_console.terminal.terminal_facts import Pixels as Protocol
     from rsb_console.terminal.terminal_facts import TerminalFacts
     from rsb_extras.pictures.graphics import Band

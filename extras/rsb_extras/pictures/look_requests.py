@@ -7,8 +7,7 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
-from rsb_bridge.model.commands import Command, Right
-from rsb_bridge.model.wording import Wording
+from rsb_bridge.feature_api import Command, Right, Wording
 from rsb_extras.pictures.picture import TOPICS_AT_ONCE, PictureError, Viewed, Wish, check_picture
 
 

@@ -8,11 +8,8 @@ from typing import TYPE_CHECKING
 from textual import on, work
 from textual.widgets import Input
 
-from rsb_bridge.api import EngineError
-from rsb_bridge.model.names import other_side
-from rsb_bridge.model.snapshot import State
-from rsb_bridge.model.text import escape_text
-from rsb_console.widgets.picker import Suggestion
+from rsb_bridge.feature_api import EngineError, State, escape_text, other_side
+from rsb_console.feature_console import Suggestion
 from rsb_extras.pictures.drawing import has_picture, is_layer, is_map
 from rsb_extras.pictures.layouts import LOG, RATES, Subject, layouts_for
 from rsb_extras.pictures.picture import Wish
@@ -22,8 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from rsb_bridge.model.snapshot import TopicInfo
-    from rsb_console.console_api import Console
-    from rsb_console.widgets.lines import Line
+    from rsb_console.feature_console import Console, Line
 
 _KEYS = " type to search · ↑↓ choose · ⏎ look · esc close"
 _SIDE, _TOPIC = 14, 34

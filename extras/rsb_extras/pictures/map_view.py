@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from rsb_bridge.model.text import sanitize_text, single_cells
-from rsb_bridge.model.wording import Wording
+from rsb_bridge.feature_api import Wording, sanitize_text
+from rsb_bridge.model.text import single_cells
 from rsb_extras.pictures.drawing import Canvas, Drawn, UndrawableError, View, elements, number, text
 from rsb_extras.pictures.grids import INSCRIBED_TINT, Grid, Sheet, ground, has_inscribed, lay_under, read_grid
 from rsb_extras.pictures.markers import Markers, draw_markers, points_of

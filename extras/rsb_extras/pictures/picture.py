@@ -12,7 +12,8 @@ from typing import Annotated, Literal, TypeAlias
 import msgspec
 from msgspec import Meta
 
-from rsb_bridge.model.text import UNPRINTABLE, sanitize_text, single_cells
+from rsb_bridge.feature_api import sanitize_text
+from rsb_bridge.model.text import UNPRINTABLE, single_cells
 
 # Limits of the protocol (docs/picture-protocol.md).
 MOST_COLUMNS, MOST_ROWS = 400, 150

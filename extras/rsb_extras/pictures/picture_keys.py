@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rsb_console.actions.action import Action, Group, KeyChapter, late
+from rsb_console.feature_console import Action, Group, KeyChapter, late
 
 _KEYS = (
     KeyChapter(

@@ -18,8 +18,8 @@ from textual.message import Message as TextualMessage
 from textual.strip import Strip
 from textual.widget import Widget
 
+from rsb_console.feature_console import FullScreen
 from rsb_console.library_internals.textual_internals import Toast, ToastRack, entitle
-from rsb_console.screens.dialog import FullScreen
 from rsb_console.widgets.lines import LOOK_CLASSES, yield_gil
 from rsb_extras.pictures.graphics import USUAL_CELL, Extent, Painter, bands_of, frame_of
 from rsb_extras.pictures.paper import Paper
@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 
     from textual.events import Click
 
+    from rsb_console.feature_console import TerminalApp
     from rsb_console.terminal.terminal_facts import TerminalFacts
-    from rsb_console.terminal_app import TerminalApp
     from rsb_extras.pictures.graphics import Band
     from rsb_extras.pictures.picture import Pixels, Wish
     from rsb_extras.pictures.picture_rows import Row

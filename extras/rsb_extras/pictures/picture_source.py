@@ -8,14 +8,14 @@ import time
 from collections import deque
 from typing import TYPE_CHECKING
 
-from rsb_bridge.api import EngineError
+from rsb_bridge.feature_api import EngineError
 from rsb_extras.pictures.look_requests import EndLook, LookAtTopics
 from rsb_extras.pictures.picture import Pixels, in_full
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
 
-    from rsb_console.console_api import Console
+    from rsb_console.feature_console import Console
     from rsb_extras.pictures.picture import Viewed, Wish
 
 _RENEWED_AFTER = 0.15  # s; a round figure: eight such questions may be under way on a link with a round trip of 1.2 s

@@ -13,15 +13,9 @@ import msgspec
 from textual import work
 from textual.binding import Binding
 
-from rsb_bridge.api import EngineError
-from rsb_bridge.config.files import replace_file
-from rsb_bridge.model.names import other_side
-from rsb_bridge.model.snapshot import State
-from rsb_bridge.model.text import escape_text
-from rsb_bridge.model.wording import Wording
-from rsb_console.actions.all_actions import ACTIONS
+from rsb_bridge.feature_api import EngineError, State, Wording, escape_text, other_side, replace_file
+from rsb_console.feature_console import ACTIONS, DIALOG
 from rsb_console.notation import formats
-from rsb_console.terminal.input_queue import DIALOG
 from rsb_extras.pictures.drawing import VIEWS, is_map
 from rsb_extras.pictures.field_chooser import FieldChooser
 from rsb_extras.pictures.goal_keys import GoalKeys
@@ -44,7 +38,7 @@ from rsb_extras.pictures.wish_keys import CHANGES
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from rsb_console.console_api import Console
+    from rsb_console.feature_console import Console
     from rsb_extras.pictures.layouts import Subject
     from rsb_extras.pictures.picture import Scale, Viewed, Wish
     from rsb_extras.pictures.picture_rows import Row

@@ -11,8 +11,7 @@ from bisect import bisect_left
 from typing import TYPE_CHECKING
 
 from rsb_bridge.cdr.decoder import Items
-from rsb_bridge.model.text import sanitize_text
-from rsb_bridge.model.wording import Wording
+from rsb_bridge.feature_api import Wording, sanitize_text
 from rsb_extras.pictures.drawing import Drawn, UndrawableError, View, first_values
 from rsb_extras.pictures.picture import (
     MOST_NUMBERS,

@@ -12,8 +12,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from typing import IO, TYPE_CHECKING
 
-from rsb_bridge.model.text import sanitize_text
-from rsb_bridge.model.wording import Wording
+from rsb_bridge.feature_api import Wording, sanitize_text
 from rsb_extras.pictures.confinement import hide_memory
 from rsb_extras.pictures.picture import PICTURE_LIMIT, Picture, PictureError, Wish, decode_picture
 from rsb_extras.pictures.worker import Task, frame
@@ -21,7 +20,7 @@ from rsb_extras.pictures.worker import Task, frame
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from rsb_bridge.context import Context
+    from rsb_bridge.feature_api import Context
 
 SECONDS = 3.0
 """Longest time for one picture, beyond the start of the process: 100,000 points take 15 ms (docs/picture-costs.md)."""

@@ -9,10 +9,9 @@ from textual.binding import Binding
 from textual.screen import ModalScreen
 from textual.widgets import Input
 
-from rsb_bridge.model.text import escape_text
-from rsb_console.screens.dialog import Dialog
-from rsb_console.widgets.filter import RowFilter
-from rsb_console.widgets.picker import Suggestion, SuggestionList
+from rsb_bridge.feature_api import escape_text
+from rsb_console.feature_console import Dialog, RowFilter, Suggestion
+from rsb_console.widgets.picker import SuggestionList
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -6,8 +6,7 @@ import os
 import sys
 from typing import TYPE_CHECKING
 
-from rsb_bridge.model.finding import Finding, Grade
-from rsb_bridge.model.wording import Wording
+from rsb_bridge.feature_api import Finding, Grade, Wording
 from rsb_console.notation.ascii_signs import prefers_ascii
 from rsb_console.terminal.terminal_facts import TRUE_COLOUR, ask, facts_before_answers
 from rsb_extras.pictures.graphics import protocol_of, why_no_graphics

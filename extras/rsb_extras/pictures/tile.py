@@ -7,13 +7,10 @@ from typing import TYPE_CHECKING
 from rich.cells import cell_len
 from textual.content import Content
 
-from rsb_bridge.model.snapshot import Level
-from rsb_bridge.model.text import escape_text
-from rsb_bridge.model.wording import Wording
-from rsb_console.actions.all_actions import ACTIONS, BY_ID
+from rsb_bridge.feature_api import Level, Wording, escape_text
+from rsb_console.actions.all_actions import BY_ID
+from rsb_console.feature_console import ACTIONS, STATE_SIGN, fit
 from rsb_console.notation import formats
-from rsb_console.notation.glyphs import STATE_SIGN
-from rsb_console.widgets.lines import fit
 from rsb_console.widgets.log import LOOK as LEVEL_LOOK
 from rsb_console.widgets.log import plain
 from rsb_extras.pictures.picture_pane import PicturePane
@@ -22,8 +19,8 @@ from rsb_extras.pictures.picture_rows import Part
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from rsb_bridge.model.snapshot import Event, RouteSnapshot
-    from rsb_console.console_api import Console
+    from rsb_bridge.feature_api import Event, RouteSnapshot
+    from rsb_console.feature_console import Console
     from rsb_console.terminal.terminal_facts import TerminalFacts
     from rsb_extras.pictures.layouts import Subject
     from rsb_extras.pictures.picture_rows import Row

@@ -12,12 +12,9 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from rsb_bridge.link.extension import LinkError
-from rsb_bridge.model.qos import AUTO_DEPTH, Qos
-from rsb_bridge.model.text import sanitize_text
-from rsb_bridge.model.wording import Wording
+from rsb_bridge.feature_api import LinkError, Qos, RosError, TopicSpec, Wording, sanitize_text
+from rsb_bridge.model.qos import AUTO_DEPTH
 from rsb_bridge.ros.ros_graph import agreed_type
-from rsb_bridge.ros.ros_interface import RosError, TopicSpec
 from rsb_bridge.wire.framing import MESSAGE_LIMIT
 from rsb_extras.pictures.drawing import VIEWS, is_map
 from rsb_extras.pictures.picture import MOST_RATE, Picture, Wish
@@ -27,9 +24,8 @@ from rsb_extras.pictures.worker import TakenSample, Task
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Coroutine, Hashable, Sequence
 
-    from rsb_bridge.context import Context
-    from rsb_bridge.ros.ros_interface import RawMessage, Subscription
-    from rsb_bridge.route.peeking import Tap
+    from rsb_bridge.feature_api import Context, RawMessage, Tap
+    from rsb_bridge.ros.ros_interface import Subscription
 
 KEPT_BYTES, KEPT_MESSAGES = 256 << 10, 2000
 """Messages between two pictures that are kept for the next one, of each topic; the newest is always kept. Round

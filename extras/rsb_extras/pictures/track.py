@@ -7,7 +7,7 @@ import math
 from collections import deque
 from typing import TYPE_CHECKING
 
-from rsb_bridge.model.wording import Wording
+from rsb_bridge.feature_api import Wording
 from rsb_extras.pictures.drawing import Canvas, Drawn, UndrawableError, View, floats, number
 
 if TYPE_CHECKING:

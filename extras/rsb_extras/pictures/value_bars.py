@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 from rsb_bridge.cdr.decoder import Items
-from rsb_bridge.model.wording import Wording
+from rsb_bridge.feature_api import Wording
 from rsb_extras.pictures.drawing import Canvas, Drawn, UndrawableError, View, first_values, floats, nested, number
 
 if TYPE_CHECKING:

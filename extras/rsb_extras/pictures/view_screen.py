@@ -10,11 +10,9 @@ from textual.binding import Binding
 from textual.containers import Container
 from textual.geometry import Size, Spacing
 
-from rsb_bridge.model.wording import Wording
+from rsb_bridge.feature_api import Wording
+from rsb_console.feature_console import DIALOG, Field, FormScreen, FullScreen, SideBox, Spec
 from rsb_console.library_internals.textual_internals import DrawsChangesOnly
-from rsb_console.screens.dialog import FullScreen, SideBox
-from rsb_console.terminal.input_queue import DIALOG
-from rsb_console.widgets.form import Field, FormScreen, Spec
 from rsb_extras.pictures.drawing import is_layer
 from rsb_extras.pictures.layouts import LAYOUTS, LOG, RATES, Subject, as_written, written
 from rsb_extras.pictures.look_screen import LookScreen
@@ -27,9 +25,8 @@ if TYPE_CHECKING:
     from textual.app import ComposeResult
     from textual.events import DescendantFocus
 
-    from rsb_bridge.model.snapshot import RouteSnapshot
-    from rsb_console.console_api import Console
-    from rsb_console.screens.main import MainScreen
+    from rsb_bridge.feature_api import RouteSnapshot
+    from rsb_console.feature_console import Console, MainScreen
     from rsb_extras.pictures.picture import Cells, Pixels, Series
 
 TILES = 9

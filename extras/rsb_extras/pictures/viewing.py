@@ -6,12 +6,7 @@ import asyncio
 import contextlib
 from typing import TYPE_CHECKING
 
-from rsb_bridge.engine.part import EnginePart
-from rsb_bridge.link.extension import LinkError, check_names
-from rsb_bridge.model.wording import Wording
-from rsb_bridge.ros.ros_interface import RosError, TopicSpec
-from rsb_bridge.route.receiver import Receiver
-from rsb_bridge.route.sender import Sender
+from rsb_bridge.feature_api import EnginePart, LinkError, Receiver, RosError, Sender, TopicSpec, Wording, check_names
 from rsb_bridge.tasks import Tasks
 from rsb_extras.pictures.link_views import LinkViews
 from rsb_extras.pictures.look_requests import EndLook, LookAtTopics
@@ -22,10 +17,7 @@ from rsb_extras.pictures.topic_view import TopicView
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from rsb_bridge.context import Context
-    from rsb_bridge.engine.bridge import Bridge
-    from rsb_bridge.link.link import Link
-    from rsb_bridge.model.snapshot import Snapshot
+    from rsb_bridge.feature_api import Bridge, Context, Link, Snapshot
     from rsb_extras.pictures.link_views import PeerView
 
 VIEWS = 12

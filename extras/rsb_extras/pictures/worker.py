@@ -17,8 +17,7 @@ import msgspec
 
 from rsb_bridge.cdr.decoder import decode
 from rsb_bridge.cdr.description import DescriptionError, read_description
-from rsb_bridge.model.text import sanitize_text
-from rsb_bridge.model.wording import Wording
+from rsb_bridge.feature_api import Wording, sanitize_text
 from rsb_extras.pictures.confinement import confine
 from rsb_extras.pictures.drawing import VIEWS, TakenMessage, UndrawableError, number, package_of_view, view_class
 from rsb_extras.pictures.picture import PICTURE_LIMIT, Picture, Wish

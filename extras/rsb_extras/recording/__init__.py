@@ -6,17 +6,14 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import msgspec
 
-from rsb_bridge.feature import Feature, SessionKey
+from rsb_bridge.feature_api import Feature, SessionKey
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
     from pathlib import Path
 
-    from rsb_bridge.engine.bridge import Bridge
-    from rsb_bridge.engine.part import EnginePart
-    from rsb_bridge.model.commands import Command
-    from rsb_console.actions.action import Action
-    from rsb_console.command.remote_arguments import AddCommand, Complete
+    from rsb_bridge.feature_api import Bridge, Command, EnginePart
+    from rsb_console.feature_console import Action, AddCommand, Complete
 
 
 class RecordLimits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -69,7 +66,7 @@ class RecordingFeature(Feature):
         return (Keeping(bridge),)
 
     def subcommands(self, add: AddCommand, complete: Complete) -> None:
-        from rsb_console.command.remote_arguments import EXIT, named_bridge_options, subcommand  # noqa: PLC0415
+        from rsb_console.feature_console import EXIT, named_bridge_options, subcommand  # noqa: PLC0415
 
         summary = "write the last seconds of all bridged topics to a file (MCAP)"
         place = "rsb_extras.recording.record_command:record"
@@ -82,7 +79,7 @@ class RecordingFeature(Feature):
         complete(parser.add_argument("--output", metavar="FILE", help=output), "files")
 
     def actions(self) -> Iterable[Action]:
-        from rsb_console.actions.action import Action, Group, OnRobot, late  # noqa: PLC0415
+        from rsb_console.feature_console import Action, Group, OnRobot, late  # noqa: PLC0415
 
         place = "rsb_extras.recording.record_key"
         # On pictures, too, whose line of keys has no room for it.

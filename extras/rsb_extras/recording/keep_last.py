@@ -7,10 +7,7 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
-from rsb_bridge.model.commands import Command, Effect
-from rsb_bridge.model.limits import TEXT_LENGTH
-from rsb_bridge.model.text import sanitize_text
-from rsb_bridge.wire.records import Count, Name, Seconds
+from rsb_bridge.feature_api import TEXT_LENGTH, Command, Count, Effect, Name, Seconds, sanitize_text
 
 TOPICS_NAMED = 10
 RECORDINGS = "recordings"

@@ -14,16 +14,20 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from msgspec.structs import replace
 
 from rsb_bridge.cdr.description import DescriptionError
-from rsb_bridge.config.files import UNFINISHED, make_folder, remove_file, stat_of, why_not_written
-from rsb_bridge.config.state_folder import state_folder
-from rsb_bridge.engine.part import EnginePart
-from rsb_bridge.link.extension import LinkError
-from rsb_bridge.model.names import file_stem
-from rsb_bridge.model.qos import Qos
-from rsb_bridge.model.wording import Wording
-from rsb_bridge.ros.ros_interface import TopicSpec
-from rsb_bridge.route.receiver import Receiver
-from rsb_bridge.route.sender import Sender
+from rsb_bridge.config.files import UNFINISHED, remove_file, stat_of
+from rsb_bridge.feature_api import (
+    EnginePart,
+    LinkError,
+    Qos,
+    Receiver,
+    Sender,
+    TopicSpec,
+    Wording,
+    file_stem,
+    make_folder,
+    state_folder,
+    why_not_written,
+)
 from rsb_extras.recording import RECORD, record_limits
 from rsb_extras.recording.keep_last import RECORDINGS, TOPICS_NAMED, KeepLast, KeptRecording
 from rsb_extras.recording.mcap_file import McapError, RecordedTopic, new_recording
@@ -34,10 +38,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from rsb_bridge.context import Context
-    from rsb_bridge.engine.bridge import Bridge
-    from rsb_bridge.model.snapshot import Snapshot
-    from rsb_bridge.route.peeking import Tap
+    from rsb_bridge.feature_api import Bridge, Context, Snapshot, Tap
     from rsb_extras.recording.mcap_file import McapFile
 
 FOLDER_SIZE = 2 << 30

@@ -8,15 +8,15 @@ from typing import IO, TYPE_CHECKING, Any, NamedTuple
 import yaml
 
 from rsb_bridge.config.files import whole_file
+from rsb_bridge.feature_api import Wording
 from rsb_bridge.model.qos import TIMES
-from rsb_bridge.model.wording import Wording
 from rsb_extras.recording.message_definition import message_definition
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from rsb_bridge.model.qos import Qos
+    from rsb_bridge.feature_api import Qos
 
 _LONGEST = (1 << 64) - 1  # ns; a time of MCAP
 _NUMBERS = 1 << 32  # of messages, after which they begin again

@@ -13,7 +13,7 @@ from rsb_bridge.cdr.description import (
     read_description,
     type_text,
 )
-from rsb_bridge.model.wording import Wording
+from rsb_bridge.feature_api import Wording
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from rsb_bridge.ros.ros_interface import TopicSpec
+from rsb_bridge.feature_api import TopicSpec
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

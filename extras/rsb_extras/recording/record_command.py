@@ -12,11 +12,10 @@ from typing import IO, TYPE_CHECKING
 
 from msgspec.structs import asdict, replace
 
-from rsb_bridge.api import EngineError
-from rsb_bridge.config.files import typed_path, whole_file, why_not_written
+from rsb_bridge.config.files import whole_file
 from rsb_bridge.config.state_folder import searched_folders
-from rsb_bridge.model.wording import Wording
-from rsb_console.command.target import UsageError, attached, done, result
+from rsb_bridge.feature_api import EngineError, Wording, typed_path, why_not_written
+from rsb_console.feature_console import UsageError, attached, done, result
 from rsb_console.notation.formats import byte_count
 from rsb_extras.recording.keep_last import LARGEST, RECORDINGS, KeepLast
 

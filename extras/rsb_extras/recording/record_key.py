@@ -5,16 +5,15 @@ from __future__ import annotations
 import asyncio
 from typing import TYPE_CHECKING
 
-from rsb_bridge.api import EngineError
+from rsb_bridge.feature_api import EngineError
 from rsb_extras.recording.keep_last import KeepLast
 from rsb_extras.recording.record_command import lines_about
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from rsb_bridge.model.snapshot import RouteSnapshot
-    from rsb_console.console_api import Console
-    from rsb_console.screens.main import MainScreen
+    from rsb_bridge.feature_api import RouteSnapshot
+    from rsb_console.feature_console import Console, MainScreen
 
 
 async def record_last(screen: MainScreen) -> None:

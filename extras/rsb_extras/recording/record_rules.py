@@ -5,15 +5,14 @@ from __future__ import annotations
 import importlib.util
 from typing import TYPE_CHECKING
 
-from rsb_bridge.model.limits import Range
-from rsb_bridge.model.wording import Wording
+from rsb_bridge.feature_api import Range, Wording
 from rsb_extras.recording import RECORD, record_limits
 from rsb_extras.recording.mcap_file import McapText
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from rsb_bridge.model.session import Session
+    from rsb_bridge.feature_api import Session
 
 SECONDS = Range(1, 3600)  # a round figure
 MEGABYTES = Range(1, 256)

@@ -5,17 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rsb_bridge.feature import Feature
+from rsb_bridge.feature_api import Feature
 
 if TYPE_CHECKING:
-    from rsb_console.command.remote_arguments import AddCommand, Complete
+    from rsb_console.feature_console import AddCommand, Complete
 
 
 class SystemdService(Feature):
     name = "service"
 
     def subcommands(self, add: AddCommand, complete: Complete) -> None:
-        from rsb_console.command.remote_arguments import subcommand  # noqa: PLC0415 -- `Feature` says why
+        from rsb_console.feature_console import subcommand  # noqa: PLC0415 -- `Feature` says why
 
         show = subcommand("rsb_extras.service.systemd_service:show_unit")
         parser = add("service", show, "run a session as a service of systemd", after="demo")

@@ -11,10 +11,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rsb_bridge.config.files import make_folder, remove_file, replace_file, why_not_written
-from rsb_bridge.config.session_file import SessionError, load
-from rsb_bridge.model.wording import Wording
-from rsb_console.command.shell import FAILURE, OK, USAGE, print_error, print_line, print_lines
+from rsb_bridge.config.files import remove_file
+from rsb_bridge.feature_api import SessionError, Wording, load, make_folder, replace_file, why_not_written
+from rsb_console.feature_console import FAILURE, OK, USAGE, print_error, print_line, print_lines
 
 if TYPE_CHECKING:
     from argparse import Namespace

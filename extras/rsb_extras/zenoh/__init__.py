@@ -10,16 +10,14 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import msgspec
 
-from rsb_bridge.feature import Feature, SessionKey
+from rsb_bridge.feature_api import Feature, SessionKey
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
     from pathlib import Path
 
+    from rsb_bridge.feature_api import Session, Transport, TransportTraits
     from rsb_bridge.model.budgets import Strangers
-    from rsb_bridge.model.session import Session
-    from rsb_bridge.model.transport_traits import TransportTraits
-    from rsb_bridge.transport.transport import Transport
 
 ZENOH_HOST = "zenoh"
 """The `rsb_bridge.model.session.Session.server_ip` of a link over Zenoh."""

@@ -19,8 +19,8 @@ from ipaddress import IPv6Address, ip_address
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rsb_bridge.feature_api import Wording
 from rsb_bridge.model.budgets import Strangers
-from rsb_bridge.model.wording import Wording
 from rsb_bridge.python_internals.threading_internals import before_waiting_for_threads
 from rsb_bridge.tasks import in_thread
 from rsb_bridge.transport import tcp

@@ -18,8 +18,7 @@ import asyncio
 from collections import deque
 from typing import TYPE_CHECKING
 
-from rsb_bridge.model.text import sanitize_text
-from rsb_bridge.model.wording import Wording
+from rsb_bridge.feature_api import Wording, sanitize_text
 from rsb_bridge.transport.streams import OpenNetworkTransport
 from rsb_bridge.wire.framing import STRANGER_LIMIT
 from rsb_bridge.wire.sealing import SampleTags

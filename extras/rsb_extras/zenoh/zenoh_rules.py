@@ -10,14 +10,14 @@ from msgspec.structs import replace
 from rsb_bridge.config.advice import interface_problem
 from rsb_bridge.config.decoding import did_you_mean, join, show
 from rsb_bridge.config.validation import SessionMistake, lacks_zone
-from rsb_bridge.model.wording import Wording
+from rsb_bridge.feature_api import Wording
 from rsb_extras.zenoh import ZENOH, ZENOH_HOST
 from rsb_extras.zenoh.zenoh_traits import ZenohTraits
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from rsb_bridge.model.session import Session
+    from rsb_bridge.feature_api import Session
     from rsb_extras.zenoh import ZenohSettings
 
 _PROTOCOLS = ("tcp", "tls", "quic", "udp", "ws")

@@ -5,12 +5,13 @@ from __future__ import annotations
 import importlib.util
 from typing import TYPE_CHECKING
 
+from rsb_bridge.feature_api import TransportTraits
 from rsb_bridge.model.limits import NO_PORT
-from rsb_bridge.model.transport_traits import Ages, TransportTraits
+from rsb_bridge.model.transport_traits import Ages
 from rsb_extras.zenoh import HOW_TO_INSTALL, ZENOH, ZENOH_HOST
 
 if TYPE_CHECKING:
-    from rsb_bridge.model.session import Session
+    from rsb_bridge.feature_api import Session
 
 
 class ZenohTraits(TransportTraits):

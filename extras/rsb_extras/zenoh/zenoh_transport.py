@@ -7,8 +7,7 @@ import os
 import socket
 from typing import TYPE_CHECKING
 
-from rsb_bridge.model.text import join_first
-from rsb_bridge.model.wording import Wording
+from rsb_bridge.feature_api import Wording, join_first
 from rsb_bridge.transport.network_news import news_of_kernel
 from rsb_bridge.transport.streams import Address, Stream, StreamHandler
 from rsb_bridge.transport.transport import (

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import msgspec
 from docs.screenshots import LOW, Album, until
 
-from rsb_bridge.model.robot_summary import RobotState
+from rsb_bridge.feature_api import RobotState
 from rsb_extras.fleet.fleet_app import FleetApp
 from rsb_extras.fleet.fleet_demo import seen, simulated, trouble
 from rsb_extras.fleet.fleet_table import FleetView

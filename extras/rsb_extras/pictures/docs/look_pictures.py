@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, cast
 from docs.real_terminals import Camera, InTerminal, is_whole, kitty
 from docs.screenshots import FLOWING, NARROW, Album, states, until
 
-from rsb_bridge.model.snapshot import State
+from rsb_bridge.feature_api import State
 from rsb_console.app import ConsoleApp
 from rsb_extras.demo.demo_session import running_demo
 from rsb_extras.pictures.look_screen import LookScreen

@@ -1,0 +1,97 @@
+"""The names of `rsb_console` that features may use, as `rsb_bridge.feature_api` has those of bridges."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rsb_bridge.feature import late_names
+
+if TYPE_CHECKING:
+    from rsb_console.actions.action import Action, Group, KeyChapter, OnRobot, late
+    from rsb_console.actions.all_actions import ACTIONS
+    from rsb_console.command.argument_values import count, seconds, within
+    from rsb_console.command.formatting import json_line
+    from rsb_console.command.remote_arguments import (
+        EXIT,
+        NO_BRIDGE,
+        AddCommand,
+        Complete,
+        bridge_options,
+        named_bridge_options,
+        route_arguments,
+        subcommand,
+    )
+    from rsb_console.command.shell import FAILURE, INTERRUPTED, OK, USAGE, print_error, print_line, print_lines
+    from rsb_console.command.target import (
+        NoBridgeError,
+        UsageError,
+        attached,
+        chosen_route,
+        done,
+        done_with,
+        failed,
+        result,
+    )
+    from rsb_console.command.ways import RemoteWay
+    from rsb_console.console_api import Console
+    from rsb_console.notation.console_setting import ConsoleSetting
+    from rsb_console.notation.glyphs import DONE, FAILED, STATE_SIGN, STATE_WORD, sparkline
+    from rsb_console.notation.link_fact import LinkFact
+    from rsb_console.notation.topic_column import TopicColumn
+    from rsb_console.preferences import Preferences
+    from rsb_console.screens.dialog import ConfirmScreen, Dialog, FullScreen, SideBox
+    from rsb_console.screens.main import MainScreen
+    from rsb_console.screens.message_screen import MessageView
+    from rsb_console.terminal.input_queue import DIALOG, GuardedScreen
+    from rsb_console.terminal_app import TerminalApp
+    from rsb_console.widgets.filter import Prompt, RowFilter
+    from rsb_console.widgets.form import Field, FormScreen, Spec
+    from rsb_console.widgets.lines import FixedLines, Line, ScrolledLines, clip, fit
+    from rsb_console.widgets.picker import Suggestion
+    from rsb_console.widgets.selectable_list import SelectableList
+
+_NAMES = {
+    "rsb_console.actions.all_actions": ("ACTIONS",),
+    "rsb_console.actions.action": ("Action", "Group", "KeyChapter", "OnRobot", "late"),
+    "rsb_console.command.argument_values": ("count", "seconds", "within"),
+    "rsb_console.command.formatting": ("json_line",),
+    "rsb_console.command.remote_arguments": (
+        "EXIT",
+        "NO_BRIDGE",
+        "AddCommand",
+        "Complete",
+        "bridge_options",
+        "named_bridge_options",
+        "route_arguments",
+        "subcommand",
+    ),
+    "rsb_console.command.shell": ("FAILURE", "INTERRUPTED", "OK", "USAGE", "print_error", "print_line", "print_lines"),
+    "rsb_console.command.target": (
+        "NoBridgeError",
+        "UsageError",
+        "attached",
+        "chosen_route",
+        "done",
+        "done_with",
+        "failed",
+        "result",
+    ),
+    "rsb_console.command.ways": ("RemoteWay",),
+    "rsb_console.console_api": ("Console",),
+    "rsb_console.notation.console_setting": ("ConsoleSetting",),
+    "rsb_console.notation.glyphs": ("DONE", "FAILED", "STATE_SIGN", "STATE_WORD", "sparkline"),
+    "rsb_console.notation.link_fact": ("LinkFact",),
+    "rsb_console.notation.topic_column": ("TopicColumn",),
+    "rsb_console.preferences": ("Preferences",),
+    "rsb_console.screens.dialog": ("ConfirmScreen", "Dialog", "FullScreen", "SideBox"),
+    "rsb_console.screens.main": ("MainScreen",),
+    "rsb_console.screens.message_screen": ("MessageView",),
+    "rsb_console.terminal.input_queue": ("DIALOG", "GuardedScreen"),
+    "rsb_console.terminal_app": ("TerminalApp",),
+    "rsb_console.widgets.filter": ("Prompt", "RowFilter"),
+    "rsb_console.widgets.form": ("Field", "FormScreen", "Spec"),
+    "rsb_console.widgets.lines": ("FixedLines", "Line", "ScrolledLines", "clip", "fit"),
+    "rsb_console.widgets.picker": ("Suggestion",),
+    "rsb_console.widgets.selectable_list": ("SelectableList",),
+}
+__getattr__ = late_names(__name__, _NAMES)
