@@ -26,7 +26,7 @@ from rsb_bridge.wire.protocol_error import ProtocolError
 
 if TYPE_CHECKING:
     import asyncio
-    from collections.abc import Callable, Collection, Coroutine, Sequence
+    from collections.abc import Callable, Collection, Coroutine, Iterable, Sequence
     from enum import StrEnum
 
     from rsb_bridge.cdr.description import CompareTypes
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from rsb_bridge.link.link_session import UnhandledMessage
     from rsb_bridge.model.session import Kind
     from rsb_bridge.model.transports import LinkProfile
+    from rsb_bridge.model.verdict import Verdict
     from rsb_bridge.route.peer import LinkPath, LinkRates
     from rsb_bridge.route.route import Route
     from rsb_bridge.telemetry.event_log import About
@@ -139,7 +140,7 @@ class BaseLink(ABC):
         self._tasks = Tasks(context.loop, self.fail)
         self.extensions = Extensions()
         self.route_fields, self.meter_of = self.extensions.route_fields, self.extensions.meter_of
-        self.verdicts = self.extensions.verdicts
+        self.verdicts: Callable[[Route], Iterable[Verdict]] | None = None
         self.keepalive = Keepalive(self)
         self.clock, self.stamps = self.keepalive.clock, self.keepalive.stamps
         self.shortages_told: set[bool] = set()  # of kernel buffers, here or there
@@ -160,6 +161,8 @@ class BaseLink(ABC):
     def extend(self, extension: _E) -> _E:
         """Register a feature of this link, and return it."""
         self.extensions.add(extension)
+        if self.extensions.judging:
+            self.verdicts = self.extensions.verdicts
         self.handlers |= extension.messages
         return extension
 

@@ -86,7 +86,7 @@ def proposal_of(
         lazy=topic.lazy,
         renew=topic.renew,
         timeout=topic.timeout or 0.0,
-        features=of_peer(topic.features),
+        features=of_peer(topic.features) if topic.features else {},
     )
 
 
@@ -120,7 +120,7 @@ def topic_of(proposal: Propose) -> Topic:
         lazy=proposal.lazy,
         renew=proposal.renew,
         timeout=proposal.timeout or None,
-        features=_features_of(proposal),
+        features=_features_of(proposal) if proposal.features else {},
     )
 
 
@@ -170,7 +170,9 @@ def amendment(proposal: Propose, route_id: int, who: str = "") -> Amend:
 def amended_topic(topic: Topic, limits: Propose) -> Topic:
     """Return a topic with a proposal's limits."""
     changed = _limits(topic_of(limits))
-    return msgspec.structs.replace(topic, **changed | {"features": of_this_side(topic.features) | changed["features"]})
+    if topic.features:
+        changed["features"] = of_this_side(topic.features) | changed["features"]
+    return msgspec.structs.replace(topic, **changed)
 
 
 def amended_entry(entry: Entry, limits: Propose | Amend) -> Entry:
