@@ -235,7 +235,7 @@ class Feature:
     def topic_problems(self, topic: Any) -> Iterable[tuple[str, str]]:
         """Return mistakes of a `rsb_bridge.model.session.Topic`, each as its key and its text with the remedy.
 
-        A key's type and limits are checked already.
+        Only an entry that has a feature's key is asked about. A key's type and limits are checked already.
         """
         return ()
 

@@ -187,7 +187,7 @@ def _half(known: dict[str, Any], now: float) -> Any:
             down_reason=known["link_down"] or "",
             suspended_since=None,
             path=SimpleNamespace(fault=known["path"]),
-            verdicts=lambda _: (),
+            verdicts=None,
         ),
         transport=SimpleNamespace(reliable=True, largest_message=MESSAGE_LIMIT),
         life=SimpleNamespace(

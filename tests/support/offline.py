@@ -82,6 +82,7 @@ class FakePeer:
     keepalive: Any = SimpleNamespace(ping_delay=0.0, ping_wait=0.0, quiet=0.0, in_doubt=False)
     down_reason = ""
     suspended_since = None
+    verdicts = None
     connections = 1
 
     def __init__(self) -> None:
@@ -121,9 +122,6 @@ class FakePeer:
 
     def route_fields(self, route: Route) -> dict[str, Any]:
         return {}
-
-    def verdicts(self, route: Route) -> tuple[()]:
-        return ()
 
     def closed(self, route_id: int) -> None:
         pass

@@ -13,7 +13,7 @@ from msgspec.structs import FieldInfo, fields
 
 from rsb_bridge.feature import BRINGS, SessionKey
 from rsb_bridge.model.session import Client, Direction, Kind, Provider, Session, Topic, peer_keys, session_keys
-from rsb_bridge.model.topic_keys import ADDED_KEYS, TOPIC_KEYS, ForeignKey, type_of, value_of, without_defaults
+from rsb_bridge.model.topic_keys import ADDED_KEYS, TOPIC_KEYS, ForeignKey, type_of, without_defaults
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -192,7 +192,8 @@ def foreign(topic: Topic) -> dict[str, str]:
 def as_topic(kind: Kind, written: msgspec.Struct) -> Topic:
     """Return the topic that an entry of a file says."""
     given = {field: getattr(written, key) for key, field in KEYS[kind].items()}
-    given["features"] = without_defaults({name: given.pop(name) for name in ADDED_KEYS if name in given})
+    if ADDED_KEYS:
+        given["features"] = without_defaults({name: given.pop(name) for name in ADDED_KEYS if name in given})
     # A topic's entry has its direction itself.
     return Topic(**given | {"direction": DIRECTIONS.get(given["direction"], given["direction"])}, kind=kind)
 
@@ -200,7 +201,10 @@ def as_topic(kind: Kind, written: msgspec.Struct) -> Topic:
 def as_written(value: msgspec.Struct) -> msgspec.Struct:
     """Return a session, a client or a topic as its file has it; any other struct as it is."""
     if isinstance(value, Topic):
-        given = {key: value_of(value, field) for key, field in KEYS[value.kind].items()}
+        given = {
+            key: ADDED_KEYS[field].of(value) if field in ADDED_KEYS else getattr(value, field)
+            for key, field in KEYS[value.kind].items()
+        }
         if "provider" in given:
             given["provider"] = _PROVIDERS.get(given["provider"], given["provider"])
         return _ENTRIES[value.kind](**given)

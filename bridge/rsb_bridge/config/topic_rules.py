@@ -198,7 +198,8 @@ def topic_problems(topic: Topic, session: Session | None, client: str | None) ->
     useless_deadman = topic.deadman is not None and not topic.arm
     # A number that has to go has no range to keep: one mistake, one remedy.
     yield from range_problems(msgspec.structs.replace(topic, deadman=None) if useless_deadman else topic)
-    yield from _feature_problems(topic)
+    if topic.features:
+        yield from _feature_problems(topic)
     if useless_deadman:
         yield Problem("deadman", TopicMistake.DEADMAN_WITHOUT_ARM(kind=A_KIND[topic.kind]))
     if topic.on_end is not None and not topic.arm:

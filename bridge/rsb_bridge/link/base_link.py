@@ -24,7 +24,7 @@ from rsb_bridge.wire.messages import Ping, Pong, Receipts
 from rsb_bridge.wire.protocol_error import ProtocolError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Sequence
+    from collections.abc import Callable, Collection, Iterable, Sequence
     from enum import StrEnum
 
     from rsb_bridge.cdr.description import CompareTypes
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from rsb_bridge.link.link_end import LinkEnd
     from rsb_bridge.link.link_session import UnhandledMessage
     from rsb_bridge.model.transports import LinkProfile
+    from rsb_bridge.model.verdict import Verdict
     from rsb_bridge.route.peer import LinkPath, LinkRates
     from rsb_bridge.route.route import Route
     from rsb_bridge.telemetry.event_log import About
@@ -138,7 +139,7 @@ class BaseLink:
         self.spawn = self._tasks.spawn  # a task that ends with the link; if it fails, the connection ends
         self.extensions = Extensions()
         self.route_fields, self.meter_of = self.extensions.route_fields, self.extensions.meter_of
-        self.verdicts = self.extensions.verdicts
+        self.verdicts: Callable[[Route], Iterable[Verdict]] | None = None
         self.keepalive = Keepalive(self)
         self.clock, self.stamps = self.keepalive.clock, self.keepalive.stamps
         self.shortages_told: set[bool] = set()  # of kernel buffers, here or there
@@ -151,6 +152,8 @@ class BaseLink:
     def extend(self, extension: _E) -> _E:
         """Register a feature of this link, and return it."""
         self.extensions.add(extension)
+        if self.extensions.judging:
+            self.verdicts = self.extensions.verdicts
         self.handlers |= extension.messages
         return extension
 

@@ -103,7 +103,7 @@ class Extensions:
         # Each snapshot of a route asks them: an extension that shows nothing costs nothing.
         self._showing_links: list[Extension] = []
         self._showing_routes: list[Extension] = []
-        self._judging: list[Extension] = []  # of features; one whose `verdict` has failed is asked no more
+        self.judging: list[Extension] = []  # of features; one whose `verdict` has failed is asked no more
         self._told: list[Extension] = []  # of the present connection, if the peer has their feature, too
 
     def add(self, extension: Extension) -> None:
@@ -114,7 +114,7 @@ class Extensions:
         if kind.route_fields is not Extension.route_fields:
             self._showing_routes.append(extension)
         if kind.verdict is not Extension.verdict:
-            self._judging.append(extension)
+            self.judging.append(extension)
 
     def find(self, kind: type[_E]) -> _E:
         return next(each for each in self._all if isinstance(each, kind))
@@ -166,15 +166,13 @@ class Extensions:
 
     def verdicts(self, route: Route) -> Iterable[Verdict]:
         """Return the verdicts of features on a route."""
-        if not self._judging:
-            return ()
         found = []
-        for each in tuple(self._judging):
+        for each in tuple(self.judging):
             try:
                 if (verdict := each.verdict(route)) is not None:
                     found.append(_checked(verdict, each.feature))
             except Exception as error:  # noqa: BLE001 -- of code that is not ours; a route's state must not depend on it
-                self._judging.remove(each)
+                self.judging.remove(each)
                 failed(each.feature, "verdict", error)
         return found
 

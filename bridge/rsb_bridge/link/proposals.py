@@ -87,7 +87,7 @@ def proposal_of(
         renew=topic.renew,
         express=topic.express,
         timeout=topic.timeout or 0.0,
-        features=of_peer(topic.features),
+        features=of_peer(topic.features) if topic.features else {},
     )
 
 
@@ -122,7 +122,7 @@ def topic_of(proposal: Propose) -> Topic:
         renew=proposal.renew,
         express=proposal.express,
         timeout=proposal.timeout or None,
-        features=_features_of(proposal),
+        features=_features_of(proposal) if proposal.features else {},
     )
 
 
@@ -172,7 +172,9 @@ def amendment(proposal: Propose, route_id: int, who: str = "") -> Amend:
 def amended_topic(topic: Topic, limits: Propose) -> Topic:
     """Return a topic with a proposal's limits."""
     changed = _limits(topic_of(limits))
-    return msgspec.structs.replace(topic, **changed | {"features": of_this_side(topic.features) | changed["features"]})
+    if topic.features:
+        changed["features"] = of_this_side(topic.features) | changed["features"]
+    return msgspec.structs.replace(topic, **changed)
 
 
 def amended_entry(entry: Entry, limits: Propose | Amend) -> Entry:

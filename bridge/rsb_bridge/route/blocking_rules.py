@@ -51,7 +51,8 @@ def judge(half: FactsT, crossing: Crossing, rules: Rules[FactsT], *, for_peer: b
     found = [] if no_path is None or (half.route.transport.reliable and half.route.link_full is not None) else [no_path]
     # A generator would take a call for each rule, once a second for each route.
     found += [verdict for rule in rules if (verdict := rule(half, crossing)) is not None]
-    found += [each for each in half.route.peer.verdicts(half.route) if not (for_peer and each.here)]
+    if (of_features := half.route.peer.verdicts) is not None:
+        found += [each for each in of_features(half.route) if not (for_peer and each.here)]
     if half.route.limit.rate:
         found.append(Verdict(State.OK, Cause.THROTTLED, f"limit {half.route.limit.rate:g} Hz, {half.route.limit.why}"))
     if not found:

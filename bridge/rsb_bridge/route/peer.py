@@ -15,7 +15,7 @@ from rsb_bridge.route.rate_limit import AllowedRates
 from rsb_bridge.wire.framing import UNFINISHED_LIMIT, Budget
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable
 
     from rsb_bridge.model.capacity import Fullness
     from rsb_bridge.model.faults import PathFault
@@ -124,8 +124,9 @@ class Peer(Protocol):
     def route_fields(self, route: Any) -> dict[str, Any]:
         """Return what features show of one of its routes."""
 
-    def verdicts(self, route: Any) -> Iterable[Verdict]:
-        """Return the verdicts of features on one of its routes."""
+    @property
+    def verdicts(self) -> Callable[[Any], Iterable[Verdict]] | None:
+        """Function that returns the verdicts of features on one of its routes, or None if none judges."""
 
     def closed(self, route_id: int) -> None:
         """Note the end of a route's opening: control messages about it that still come are late."""

@@ -364,7 +364,7 @@ class Receiver:
         awaits = self.facts.ledger.open and self.route.life.phase is RoutePhase.READY
         if report == _with_latencies(before, report) and not awaits:
             return None
-        verdict = lasting(report.verdict, self.route.verdict_for_peer(), self.route.context.now())
+        verdict = lasting(report.verdict, self.route.verdict(for_peer=True), self.route.context.now())
         return msgspec.structs.replace(report, verdict=verdict)
 
     def _received_report(self) -> ReceivedReport:
@@ -386,7 +386,7 @@ class Receiver:
             latency_p50=self.flow.latency.p50,
             latency_p99=self.flow.latency.p99,
             jitter=self.flow.latency.jitter,
-            verdict=record_of(self.route.verdict_for_peer()),
+            verdict=record_of(self.route.verdict(for_peer=True)),
             nodes=self.flow.audience.nodes,
             publishers=self.listeners.published_by,
             deaf=tuple(DeafRecord(each.node, each.cause, each.reason) for each in self.flow.audience.deaf),

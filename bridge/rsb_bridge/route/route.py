@@ -378,7 +378,9 @@ class Route:
         """Apply new limits; counts, endpoints and messages in transit stay."""
         before, spec = self.proposal, self.spec
         self.enter(here, there)
-        changes = ", ".join(filter(None, (limits_changed(before, self.proposal), added_changed(spec, self.spec))))
+        changes = limits_changed(before, self.proposal)
+        if spec.features != self.spec.features:
+            changes = ", ".join(filter(None, (changes, added_changed(spec, self.spec))))
         self.weight = route_weight(self.proposal, armed=self.arming.required)
         self.limit.set_max_rate(self.proposal.max_rate)
         self.settle_age()
@@ -515,24 +517,21 @@ class Route:
         """The reason why it is refused or has ended, now or until shortly ago, or an empty one."""
         return self.reopening.shown_refusal(self.life, self.context.now() - self.opened_at if self.id else 0.0)
 
-    def verdict(self) -> Verdict:
-        """Return this side's verdict, made at the last tick or at a later change by an operator or the peer."""
+    def verdict(self, *, for_peer: bool = False) -> Verdict:
+        """Return this side's verdict, made at the last tick or at a later change by an operator or the peer.
+
+        Args:
+            for_peer: without the verdicts that are for this side only.
+        """
         now = self.context.now()
         # A deadman that runs out between two ticks must not be shown as armed.
         if self._verdict is None or self.arming.overdue(now):
             self._verdict = self._judged(now, self.crossing)
-        return self._verdict
+        return self._judged(now, self.crossing, for_peer=True) if for_peer and self._verdict.here else self._verdict
 
-    def verdict_for_peer(self) -> Verdict:
-        """Return this side's verdict without those that are for this side only."""
-        own = self.verdict()
-        if not own.here:
-            return own
-        verdict = judge(self.half.facts, self.crossing, self.half.rules, for_peer=True)
-        return self._lossy_path.steady(verdict, self.peer.path.fault, self.context.now())
-
-    def _judged(self, now: float, crossing: Crossing) -> Verdict:
-        return self._lossy_path.steady(judge(self.half.facts, crossing, self.half.rules), self.peer.path.fault, now)
+    def _judged(self, now: float, crossing: Crossing, *, for_peer: bool = False) -> Verdict:
+        verdict = judge(self.half.facts, crossing, self.half.rules, for_peer=for_peer)
+        return self._lossy_path.steady(verdict, self.peer.path.fault, now)
 
     def snapshot(self) -> RouteSnapshot:
         """Return the route as it is now."""

@@ -436,7 +436,7 @@ class Sender:
             publishers=len(self.carried.endpoints),
             publisher_qos=self.resolver.publisher_qos,
             subscribed=self.subscription.receives,
-            verdict=record_of(self.route.verdict_for_peer()),
+            verdict=record_of(self.route.verdict(for_peer=True)),
             nodes=node_names(self.carried.endpoints),
             drivers=self.flow.drivers.records,
         )
@@ -445,7 +445,7 @@ class Sender:
         self._last_report = report
         now = self.route.context.now()
         # With these, each report would differ from the one before.
-        verdict, waited = lasting(report.verdict, self.route.verdict_for_peer(), now), self.path.waits(now)
+        verdict, waited = lasting(report.verdict, self.route.verdict(for_peer=True), now), self.path.waits(now)
         return msgspec.structs.replace(report, verdict=verdict, waited=waited)
 
     def takes(self, gid: bytes) -> bool:

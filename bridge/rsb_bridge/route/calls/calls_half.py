@@ -137,7 +137,7 @@ class CallsHalf:
         route.judged.receive(report.verdict, route.context.now())
 
     def news(self) -> CallsReport | None:
-        route, malformed, verdict = self.route, self.types.last_malformed, self.route.verdict_for_peer()
+        route, malformed, verdict = self.route, self.types.last_malformed, self.route.verdict(for_peer=True)
         given, waiting = (0, 0) if route.outgoing else self.facts.end.at_node()
         report = CallsReport(
             route=route.id,
