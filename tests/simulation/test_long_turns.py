@@ -116,6 +116,6 @@ def test_long_turn_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
         for item in items:
             work(item)
 
-    replaced.IN_SLICES_OF_ROUTE_TABLE.set(monkeypatch, at_once)
+    replaced.IN_SLICES_OF_OPENINGS.set(monkeypatch, at_once)
     turns = played(Yard(*(Topic(name, "transmit") for name in NAMES)), len(NAMES))
     assert turns.longest.total() > MOST_CALLS
