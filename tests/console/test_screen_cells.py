@@ -32,7 +32,7 @@ pieces = st.lists(
     st.tuples(
         st.integers(0, SIZE.height - 1),
         st.integers(0, SIZE.width - 6),
-        st.text("ab ▇─é網", min_size=1, max_size=3) | st.just(" " * 18),
+        st.text("ab ▇─é網", min_size=1, max_size=3) | st.sampled_from([" " * 18, "a" + " " * 14 + "b"]),
         st.sampled_from(STYLES),
     ),
     max_size=6,
@@ -281,6 +281,17 @@ def test_many_blanks_are_erased_where_that_looks_the_same(style: Style) -> None:
     marks = style.reverse or style.underline
     assert ("\x1b[15X" in frame.text) is not bool(marks)
     assert (" " * 15 in frame.text) is bool(marks)
+
+
+def test_what_follows_erased_blanks_stands_in_its_place() -> None:
+    """Erasing leaves the cursor where it is."""
+    ours, emulator = screen_cells(), Emulator()
+    ours.erases = True
+    drawn(ours, *((y, 0, "z" * SIZE.width, PLAIN) for y in range(2)))
+    emulator.take(ours.next(INF).text)
+    drawn(ours, (1, 0, "a", PLAIN), (1, 3, " " * 14 + "b", COLOURED))
+    emulator.take(ours.next(INF).text)
+    assert emulator.screen.display[1] == "azz" + " " * 14 + "bzzzzzz"
 
 
 def test_new_thing_is_written_from_its_top_on() -> None:

@@ -11,6 +11,7 @@ import pytest
 from rich.color import ColorSystem
 from tests.console.driving import NARROW, WIDE, on_main, until
 from tests.support.heights import heights_of
+from textual._compositor import LayoutUpdate
 from textual.geometry import Region, Size
 from textual.screen import ModalScreen
 from textual.widgets import Static
@@ -77,9 +78,8 @@ class Given:
         driver: Any = SimpleNamespace(line=line, losses=0, is_free=True, erases=False, late=0.0)
         driver.write_frame = lambda *_, **__: None
         self.writer = ScreenWriter(app, driver, ColorSystem.TRUECOLOR, (), self._written)
-        self.writer._cells.resize(app.size)
-        self.writer.forget()
         self.writer.expect_effect()
+        self.writer.draw(LayoutUpdate([], Region()))
 
     def _call_later(self, seconds: float, _call: Callable[[], None]) -> object:
         self.looks.append(seconds)
@@ -103,7 +103,7 @@ async def test_key_has_its_effect_before_what_is_below_the_box(
     region = box.query_one("#box").region
     with monkeypatch.context() as patched:
         given = Given(app, patched)
-        while given.writer._cells.lacks(region):
+        while not given.writer.has(region):
             given.give_in(0.02)
         for _ in range(4):
             given.writer.expect_effect()  # a repeat
@@ -148,8 +148,7 @@ def test_writer_gives_what_is_left_while_app_ends_without_a_screen() -> None:
     driver.write_frame = lambda *_, **__: None
     rows: list[int] = []
     writer = ScreenWriter(app, driver, ColorSystem.TRUECOLOR, (), lambda spans: rows.extend(y for y, *_ in spans))
-    writer._cells.resize(app.size)
-    writer.give()
+    writer.draw(LayoutUpdate([], Region()))
     assert rows
 
 

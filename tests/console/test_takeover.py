@@ -21,6 +21,7 @@ from textual import events
 
 from rsb_console.terminal.driver import ConsoleDriver
 from rsb_console.terminal.known_terminal import KnownTerminal
+from rsb_console.terminal.pulse import Pulse
 from rsb_console.terminal.terminal_facts import TRUE_COLOUR, TerminalFacts, is_plain
 
 if TYPE_CHECKING:
@@ -198,12 +199,14 @@ def test_same_terminal_is_asked_once() -> None:
 
 
 @on_main()
-async def test_title_is_set_once_for_each_terminal(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_title_is_set_once_for_each_terminal(
+    app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Not again with each answer: they come several times a second."""
+    monkeypatch.setenv("TERM", "xterm")
     driver = ConsoleDriver(app)
     written: list[str] = []
     vars(driver)["write"] = written.append
-    driver._known.swallows = True
     driver.entitle("desk")
 
     def answer() -> None:
@@ -226,10 +229,15 @@ async def test_line_of_another_terminal_that_answers_nothing_is_used(app: Consol
     driver.line.asked(time.monotonic())
     driver.line.answered(time.monotonic())
     driver.line.asked(time.monotonic())
-    driver._doubt()
+    now = time.monotonic()
+    driver.pulse = Pulse({}, lambda: now)
+    driver.pulse.question()
+    driver.pulse.answered(2, 2)
+    now += 1.0
+    driver.process_message(events.Key("ctrl+l", None))
     driver.look_for_answers()
     assert driver.line.answers
-    driver.pulse._doubted_at -= 10.0
+    now += 10.0
     driver.look_for_answers()
     assert not driver.line.answers
 

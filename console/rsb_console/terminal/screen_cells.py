@@ -285,7 +285,7 @@ class _Pen:
             self._take(look)
             if self._erases and (blanks := _blanks(row, x, run.right)) >= _ERASED:
                 self._add(f"\x1b[{blanks}X")
-                done = x + blanks
+                self._at, done = (run.row, x), x + blanks
                 continue
             is_wide = x + 1 < len(row) and row[x + 1].text == ""
             if is_wide and (len(text) > 1 or ord(text) > _LAST_OF_PLANE_0):
