@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 import pytest
+from tests.engine.reloading_helpers import Edited, codes
 from tests.support import constants, replaced
 from tests.support.bridge import carries, find, happened, heard, link, linked, route
 from tests.support.domain import text
@@ -14,11 +15,11 @@ from tests.support.waiting import eventually, holds
 from tests.support.wording import pattern
 
 from rsb_bridge.api import EngineError, Unable
-from rsb_bridge.config.session_file import load_file, save
+from rsb_bridge.config.session_file import load_file
 from rsb_bridge.link.reloading import ClientStep
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.commands import OWN_CONSOLE, acting
-from rsb_bridge.model.session import Client, Session, Topic
+from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.verdict import LinkCause
 
@@ -31,28 +32,6 @@ if TYPE_CHECKING:
 
     from rsb_bridge.config.session_file import SessionFile
     from rsb_bridge.engine import Engine
-    from rsb_bridge.model.snapshot import Reloaded
-
-
-class Edited:
-    """An engine whose session file is edited."""
-
-    def __init__(self, engine: Engine, path: Path) -> None:
-        self.engine = engine
-        self.path = path
-        self.session: Session = engine.session
-        save(self.session, path)
-        engine.use_file(path)
-
-    def reload(self, *, dry_run: bool = False, **changes: Any) -> Reloaded:
-        """Change the file, and have it read again."""
-        self.session = msgspec.structs.replace(self.session, **changes)
-        save(self.session, self.path)
-        return self.engine.reload(dry_run=dry_run).result(60)
-
-
-def codes(engine: Engine, code: EventCode) -> list[str]:
-    return [event.text for event in engine.events() if event.code == code]
 
 
 def test_only_the_topics_that_differ_change(
