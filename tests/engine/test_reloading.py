@@ -12,9 +12,10 @@ from tests.support import constants, replaced
 from tests.support.bridge import carries, find, happened, heard, link, linked, route
 from tests.support.domain import text
 from tests.support.waiting import eventually, holds
-from tests.support.wording import pattern
+from tests.support.wording import pattern, says
 
 from rsb_bridge.api import EngineError, Unable
+from rsb_bridge.config.session_changes import ChangeRefused
 from rsb_bridge.config.session_file import load_file
 from rsb_bridge.link.reloading import ClientStep
 from rsb_bridge.model.codes import EventCode
@@ -160,7 +161,7 @@ def test_fixed_keys_are_told_the_rest_changes(bridge: Bridge, tmp_path: Path) ->
         f"server_port {port} → {port + 1}",
         f"domain_id {domain} → 100",
     ]
-    assert all("restart the bridge's process" in left for left in reloaded.left)
+    assert all(says(left, ChangeRefused.RESTART) for left in reloaded.left)
     assert (client.session.server_port, client.session.stale_after) == (port, 3.0)
     assert len(codes(client, EventCode.ENGINE_RELOAD_INCOMPLETE)) == 2
     assert file.reload().left == reloaded.left, "it is shown as long as it lasts"
