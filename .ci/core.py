@@ -90,8 +90,8 @@ def copy_environment(old: Path, new: Path) -> None:
         file.unlink(missing_ok=True)  # a link to the other environment's
         file.write_text(text, encoding="utf-8")
     script.chmod(0o755)
-    lacks = "from importlib import util; from rsb_bridge import feature; "
-    lacks += "assert util.find_spec('rsb_extras') is None; assert not feature.installed()"
+    lacks = "from importlib import util; from rsb_bridge.installed_features import installed; "
+    lacks += "assert util.find_spec('rsb_extras') is None; assert not installed()"
     subprocess.run((new / "bin/python", "-P", "-c", lacks), check=True)
 
 

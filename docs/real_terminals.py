@@ -23,7 +23,6 @@ from docs.screenshots import FLOWING, Album, states, until
 from rsb_console.app import ConsoleApp
 from rsb_console.terminal.driver import terminal_to_itself
 from rsb_console.terminal_app import output_path
-from rsb_extras.demo.demo_session import running_demo
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Iterator, Sequence
@@ -123,6 +122,8 @@ class InTerminal:
     async def inside(self, album: Album) -> None:
         """Show the demo in this terminal, and take the pictures."""
         (album.config / "console.yaml").write_text(self.settings, encoding="utf-8")
+        from rsb_extras.demo.demo_session import running_demo  # noqa: PLC0415 (a feature)
+
         with running_demo() as demo:
             app = ConsoleApp(demo.session, demo.path, theme="dark", config=album.config)
             failed: list[BaseException] = []

@@ -23,7 +23,6 @@ from rsb_bridge.model.snapshot import State
 from rsb_bridge.route import lease
 from rsb_console.app import ConsoleApp
 from rsb_console.notation.glyphs import STATE_SIGN
-from rsb_extras.demo.demo_session import running_demo
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine
@@ -124,6 +123,8 @@ async def of_one_demo(album: Album) -> None:
     Raises:
         DroppedError: not all of them were taken.
     """
+    from rsb_extras.demo.demo_session import running_demo  # noqa: PLC0415 (a feature)
+
     with running_demo() as demo:
         app = ConsoleApp(demo.session, demo.path, theme="dark", config=album.config)
 

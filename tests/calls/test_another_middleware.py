@@ -14,8 +14,8 @@ pytest.importorskip("test_msgs", reason="no package with an action is installed 
 
 from rclpy.parameter import Parameter
 from tests.calls.ledgers import balanced, called, nothing_left, settled
-from tests.calls.test_parameters import client_of, parameters
-from tests.engine.test_actions import FIBONACCI
+from tests.calls.parameters_helpers import client_of, parameters
+from tests.engine.actions_helpers import FIBONACCI
 from tests.support.bridge import feedback_listeners
 from tests.support.fibonacci import FibonacciClient, FibonacciServer
 from tests.support.waiting import eventually

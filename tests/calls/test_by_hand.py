@@ -11,6 +11,7 @@ import yaml
 from nav_msgs.srv import GetPlan
 from rclpy.qos import QoSProfile
 from std_srvs.srv import SetBool
+from tests.calls.by_hand_helpers import ready
 from tests.calls.ledgers import called, counts, nothing_left
 from tests.support import replaced
 from tests.support.bridge import happened, route
@@ -66,11 +67,6 @@ def lamp(start: Callable[..., Spun], pc: Domain) -> Lamp:
 
 def by_hand(engine: EngineApi, name: str, request: str, lane: str = "") -> Future[str]:
     return engine.call(route(engine, name).key, request, lane)
-
-
-def ready(engine: EngineApi, name: str) -> None:
-    """Wait until it can be called on the callers' side."""
-    eventually(lambda: all(each.done for each in route(engine, name).stages if each.name == "offered"), what="offered")
 
 
 def test_call_over_link_is_recorded_on_both_sides(bridge: Bridge, lamp: Lamp) -> None:

@@ -11,7 +11,7 @@ import pytest
 import yaml
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParametersResult
 from rclpy.parameter import Parameter
-from tests.calls.test_by_hand import ready
+from tests.calls.by_hand_helpers import ready
 from tests.support import constants
 from tests.support.bridge import happened
 from tests.support.commands import Ran

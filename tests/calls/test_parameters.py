@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pytest
 from rcl_interfaces.msg import ParameterEvent
@@ -14,12 +14,12 @@ from rclpy.parameter_client import AsyncParameterClient
 from rclpy.parameter_event_handler import ParameterEventHandler
 from rclpy.qos import qos_profile_parameter_events
 from rclpy.serialization import deserialize_message, serialize_message
+from tests.calls.parameters_helpers import client_of, parameters
 from tests.support.bridge import happened, route
 from tests.support.waiting import eventually
 from tests.support.wording import says
 
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.route.calls.node_parameters import NoParameters
 
@@ -48,17 +48,6 @@ def camera(start: Callable[..., Spun], robot: Domain) -> Spun:
     for name, value in VALUES.items():
         spun.node.declare_parameter(name, value)
     return spun
-
-
-def parameters(node: str, **changes: Any) -> Topic:
-    return Topic(node, "receive", kind="parameters", **changes)
-
-
-def client_of(spun: Spun, node: str) -> AsyncParameterClient:
-    """Return a program's client of a far node's parameters, once they exist."""
-    client = AsyncParameterClient(spun.node, node)
-    eventually(client.services_are_ready, what=f"the parameters of {node}")
-    return client
 
 
 def heard(listener: Listener) -> list[ParameterEvent]:

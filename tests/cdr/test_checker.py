@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from rclpy.serialization import serialize_message
 from rosidl_parser.definition import AbstractGenericString as AnyString
 from rosidl_parser.definition import AbstractNestedType, Array, BasicType, BoundedSequence, NamespacedType
-from tests.cdr.test_decoder import TYPES, described, of
+from tests.cdr.decoder_helpers import TYPES, described, of
 from tests.support.filled import filled
 from tests.support.steps import counted
 

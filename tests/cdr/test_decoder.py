@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import array
-import importlib
-import pkgutil
 import struct
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
+from tests.cdr.decoder_helpers import INNER, TYPES, described, of
 from tests.support.filled import filled
 from tests.support.wording import pattern, says
 
@@ -34,28 +32,7 @@ from rsb_bridge.cdr.description import (
 from rsb_bridge.ros.native.rosidl_descriptions import installed_description
 from rsb_bridge.ros.native.typesupport import hash_of, installed_class
 
-PACKAGES = [
-    "action_msgs", "actionlib_msgs", "builtin_interfaces", "diagnostic_msgs", "geometry_msgs", "lifecycle_msgs",
-    "nav_msgs", "rcl_interfaces", "rosgraph_msgs", "sensor_msgs", "service_msgs", "shape_msgs", "std_msgs",
-    "stereo_msgs", "trajectory_msgs", "type_description_interfaces", "unique_identifier_msgs", "visualization_msgs",
-]  # fmt: skip
 EVERYTHING = 1 << 30
-
-
-def installed() -> Iterator[str]:
-    for package in PACKAGES:
-        for module in pkgutil.iter_modules(importlib.import_module(f"{package}.msg").__path__):
-            found = importlib.import_module(f"{package}.msg.{module.name}")
-            yield from (f"{package}/msg/{name}" for name in vars(found) if isinstance(vars(found)[name], type))
-
-
-TYPES = sorted({name for name in installed() if "Metaclass" not in name and installed_class(name)})
-
-
-def described(name: str) -> TypeDescription:
-    text = installed_description(name)
-    assert text is not None
-    return read_description(text, hash_of(installed_class(name)))  # type: ignore[arg-type]
 
 
 def tree(value: Any) -> Any:
@@ -113,23 +90,6 @@ def test_every_kind_of_field() -> None:
         "inner": inner[1], "inners": [inner[2], inner[0], inner[3]], "pair": [inner[1], inner[2]], "few": [inner[4]],
         "bytes": [1, 255], "c": 65, "bools": [True, False, True], "two": ["", "two"], "last": -(2**62),
     }  # fmt: skip
-
-
-INNER = MessageType(
-    "t/msg/Inner",
-    (
-        MessageField("a", FieldType(3, 0, 0, "")),
-        MessageField("b", FieldType(11, 0, 0, "")),
-        MessageField("w", FieldType(18, 0, 0, "")),
-    ),
-)
-
-
-def of(*fields: tuple[str, int, int, int, str]) -> TypeDescription:
-    """A description with fields of (name, type id, capacity, capacity of strings, nested type)."""
-    return TypeDescription(
-        MessageType("t/msg/T", tuple(MessageField(f[0], FieldType(*f[1:])) for f in fields)), (INNER,)
-    )
 
 
 def test_big_endian() -> None:

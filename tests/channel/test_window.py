@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections import deque
 
 import pytest
+from tests.channel.window_helpers import QUEUES_MUCH
 from tests.support.held import held_by
 
 from rsb_bridge.channel.window import FIRST, FIRST_RECEIPT, LEAST, ReceiptCounter, Window
 from rsb_bridge.model.transport_traits import QUEUES_LITTLE, Ages
 
 STEP = 0.001
-QUEUES_MUCH = Ages(0.1, 0.3, 0.15, 1.0)
-"""As of a transport that takes all that the window allows, such as Zenoh."""
 AGES = [pytest.param(QUEUES_LITTLE, id="tcp"), pytest.param(QUEUES_MUCH, id="much queues")]
 
 

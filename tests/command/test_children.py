@@ -7,9 +7,11 @@ import re
 import subprocess
 from pathlib import Path
 
-import pytest
+from tests.command.children_helpers import planted
 
 from rsb_console.child import ChildProcess
+
+__all__ = ["planted"]
 
 ROOT = Path(__file__).parents[2]
 SOURCES = [
@@ -19,7 +21,6 @@ SOURCES = [
     if "tests" not in path.relative_to(ROOT).parts
 ]
 BEGINS_AGAIN = "console/rsb_console/cli.py"  # executes itself, which starts no child
-PLANTED = "import pathlib\npathlib.Path({marker!r}).touch()\nraise ImportError('planted')\n"
 STARTS = {"Popen", "run", "call", "check_call", "check_output", "create_subprocess_exec", "create_subprocess_shell"}
 IN_PYTHON = ("fork", "forkpty", "system", "popen", "startfile", "exec", "spawn", "posix_spawn")
 MAY_START = {
@@ -86,18 +87,6 @@ def test_every_module_that_starts_children_is_known() -> None:
             ):
                 found.add(name)
     assert found == {each for each in MAY_START if (ROOT / each).exists()}, "the core alone has fewer"
-
-
-@pytest.fixture
-def planted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A working folder with modules that the program imports; each leaves a mark if it runs."""
-    marker = tmp_path / "ran"
-    folder = tmp_path / "folder"
-    folder.mkdir()
-    for name in ("msgspec", "resource", "rclpy", "std_msgs", "runpy", "signal", "numpy", "yaml", "weakref"):
-        (folder / f"{name}.py").write_text(PLANTED.format(marker=str(marker)))
-    monkeypatch.chdir(folder)
-    return marker
 
 
 def test_module_in_child_runs_nothing_of_its_folder(planted: Path) -> None:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, TypeAlias, get_args
 
 import pytest
 from msgspec.structs import replace
+from tests.command.client_helpers import TEXT, path
 from tests.console.scripted import LINK, ScriptedEngine
 from tests.support import replaced, surroundings
 from tests.support.wording import says
@@ -35,27 +36,11 @@ if TYPE_CHECKING:
     from tests.support.commands import Ran
     from tests.support.control import Machine
 
+__all__ = ["path"]
+
 Run: TypeAlias = "Callable[..., Ran]"
 ROBOT1, ROBOT2 = Client("robot1", key_file="robot1.key"), Client("robot2", key_file="robot2.key")
 SERVER = Session(name="pc", role="server", server_ip="10.0.0.20", server_port=49152, clients=(ROBOT1,))
-TEXT = """\
-# the fleet
-name: pc
-role: server
-server_ip: 10.0.0.20
-server_port: 49152
-clients:
-  - {name: robot1, key_file: robot1.key}   # the first
-"""
-
-
-@pytest.fixture
-def path(tmp_path: Path) -> Path:
-    """Write a server's session file, and its client's key."""
-    path = tmp_path / "pc.yaml"
-    path.write_text(TEXT)
-    write_key(tmp_path / "robot1.key")
-    return path
 
 
 @pytest.fixture

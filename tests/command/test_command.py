@@ -342,9 +342,7 @@ def test_check_as_json_places_mistakes(ran: Callable[..., Ran], tmp_path: Path) 
     assert [(each["line"], each["key"]) for each in found.json["mistakes"]] == [(4, "server_port")]
 
 
-@pytest.mark.parametrize(
-    "arguments", [(), ("--debug",), ("run",), ("robot1.yaml",), ("--readonly", "robot1.yaml"), ("demo",)]
-)
+@pytest.mark.parametrize("arguments", [(), ("--debug",), ("run",), ("robot1.yaml",), ("--readonly", "robot1.yaml")])
 def test_the_console_is_refused_without_a_terminal(arguments: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
     with Path(os.devnull).open() as nothing:
         surroundings.set_stdin(monkeypatch, nothing)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 import pytest
+from tests.command.printing_helpers import EVIL
 from tests.console.scripted import SESSION, ScriptedEngine, route
 from tests.support import replaced
 from tests.support.commands import Ran, rsb_console
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
 
     from tests.support.control import Machine
 
-EVIL = "\x1b]0;evil\x07\x1b[2J\u202eevil\u200b\x9b31m\n2026-01-01 forged\r\U000e0041"
 CONSOLE = Path(__file__).parents[2] / "console" / "rsb_console"
 EXTRAS = Path(__file__).parents[2] / "extras" / "rsb_extras"
 PRINTS = {

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
+from tests.config.call_entries_helpers import called
 from tests.config.mistakes import BLUETOOTH, CLIENT, FILE, SERVER, has, problems
 from tests.support.wording import says
 
@@ -251,12 +252,6 @@ def test_first_service_of_file_begins_list(tmp_path: Path) -> None:
     assert path.read_text().endswith(
         "  - {topic: /scan, direction: transmit}  # laser\nservices:\n  - {service: /d, provider: client}\n# the end\n"
     )
-
-
-def called(topic: Topic) -> tuple[str, str, str]:
-    """Return the name that no two entries may share, because one side's callers would have two servers."""
-    name = (topic.remote_topic or topic.topic) if topic.direction == "receive" else topic.topic
-    return topic.kind, topic.direction, name
 
 
 calls = st.builds(

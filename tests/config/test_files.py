@@ -6,12 +6,12 @@ import ast
 import csv
 import os
 import re
-import stat
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from tests.config.files_helpers import EVIL, mode
 from tests.console.scripted import ROUTES, route
 
 from rsb_bridge.config.files import new_file, replace_file, write_whole
@@ -22,7 +22,6 @@ from rsb_bridge.model.text import is_clean
 from rsb_console.session.exports import export_log, export_topics
 from rsb_console.terminal.driver import terminal_to_itself
 
-EVIL = "\x1b]0;evil\x07\x1b[2J\u202eevil\u200b\x9b31m\n2026-01-01 forged\r"
 PACKAGES = [
     Path(__file__).parents[2] / each for each in ("bridge/rsb_bridge", "console/rsb_console", "extras/rsb_extras")
 ]
@@ -40,10 +39,6 @@ WRITES_OTHERWISE = {
     "terminal_app.py": "crash.txt, with `owner_only`",
     "command/shell.py": "the null device",
 }
-
-
-def mode(path: Path) -> int:
-    return stat.S_IMODE(path.stat().st_mode)
 
 
 @pytest.fixture(params=[0o000, 0o022, 0o777])

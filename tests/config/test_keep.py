@@ -8,12 +8,13 @@ import msgspec
 import pytest
 from tests.config.mistakes import problems
 from tests.console.scripted import NOW
-from tests.model.test_link_budget import snapshot
+from tests.model.link_budget_helpers import snapshot
 from tests.support.wording import says
 
 from rsb_bridge.config.advice import Advice, advise
 from rsb_bridge.config.session_file import load_file, save
 from rsb_bridge.config.topic_rules import TopicMistake, entry_problems, transport_of
+from rsb_bridge.installed_features import feature_names
 from rsb_bridge.model.keep import KEEP_BUDGET, Keep
 from rsb_bridge.model.link_budget import CostText, as_report, cost_of, describe_cost
 from rsb_bridge.model.session import Session, Topic
@@ -114,6 +115,7 @@ def test_other_keys_go_with_it(keys: dict[str, Any]) -> None:
     assert entry_problems(Topic(**{"topic": "/a", "direction": "transmit", "keep": 60.0, **keys})) == []
 
 
+@pytest.mark.skipif("zenoh" not in feature_names(), reason="the core alone")
 def test_best_effort_that_is_kept_takes_the_reliable_way() -> None:
     zenoh = msgspec.structs.replace(SESSION, server_ip="zenoh")
     plain = Topic("/a", "transmit", qos="sensor_data")

@@ -14,8 +14,8 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from msgspec.structs import replace
+from tests.config.call_entries_helpers import called
 from tests.config.samples import SAMPLES
-from tests.config.test_call_entries import called
 from tests.support.long import long_cases
 from tests.support.wording import pattern
 

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.validate_full_topic_name import validate_full_topic_name
-from tests.config.test_call_entries import called
+from tests.config.call_entries_helpers import called
 from tests.support.wording import pattern
 
 from rsb_bridge.config.files import FileRefused

@@ -64,7 +64,7 @@ def test_pictures_show_this_version() -> None:
         )
         for picture in PICTURES
     }
-    assert any(shown.values())
+    assert any(shown.values()) or not (ROOT / "extras").exists()  # those that show it are features'
     for name, versions in shown.items():
         current = {VERSION} if UNRELEASED else {NUMBER, f"{NUMBER}.dev0"}  # a release keeps its earlier entries
         assert set(versions) <= current, f"{name}: make screenshots"

@@ -12,6 +12,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.console.arming_helpers import ARMED, DISARMED
 from tests.console.driving import engine_of, gone, notified, on_main, put, shown, until
 from tests.console.live import COMMAND, ELSEWHERE, HERE, Pair, bridging, talker
 from tests.console.scripted import route
@@ -43,14 +44,6 @@ if TYPE_CHECKING:
     from rsb_console.app import ConsoleApp
 
 CHATTER = "/chatter"
-DISARMED = route(
-    "/cmd_vel", State.DISARMED, outgoing=True, reason="not armed", cause="disarmed", rate=0.0,
-    arming=ArmingSnapshot(armed=False, deadman=60.0),
-)  # fmt: skip
-ARMED = replace(
-    DISARMED, state=State.OK, reason="", cause="",
-    arming=ArmingSnapshot(armed=True, by="robot1 says: anna (uid 1000)", here=True, left=42.0, deadman=60.0),
-)  # fmt: skip
 
 
 async def arm(app: ConsoleApp, pilot: Pilot[None]) -> None:

@@ -4,9 +4,9 @@ from dataclasses import replace
 from typing import get_args
 
 import pytest
+from tests.console.detail_helpers import said
 from tests.console.driving import NARROW, gone, listed, on_main, put, shown, text, until
 from tests.console.scripted import CALL_ROUTES, CALLS, ROUTES, call_route, call_stages, route
-from tests.console.test_detail import said
 from textual.pilot import Pilot
 
 from rsb_bridge.model.calls import CallsSnapshot, GoalSnapshot

@@ -3,8 +3,9 @@
 from dataclasses import replace
 
 import pytest
+from tests.console.detail_helpers import said
 from tests.console.driving import NARROW, engine_of, gone, on_main, put, selected_topic, settled, shown, text, until
-from tests.console.scripted import NOW, ROUTES, route
+from tests.console.scripted import ROUTES, route
 from textual.pilot import Pilot
 
 from rsb_bridge.model.qos import Qos
@@ -12,11 +13,7 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Ledger, RouteSnapshot, State
 from rsb_console.app import ConsoleApp
 from rsb_console.notation import formats
-from rsb_console.widgets.detail import DetailText, detail_lines
-
-
-def said(about: RouteSnapshot, width: int = 60) -> str:
-    return "\n".join("".join(piece for piece, _ in line) for line in detail_lines(about, "10.0.0.20:49152", width, NOW))
+from rsb_console.widgets.detail import DetailText
 
 
 @on_main()

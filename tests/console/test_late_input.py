@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.console.driving import choose, engine_of, notified, on_main, put, scripted_app, shown, until
+from tests.console.late_input_helpers import Time
 from tests.console.scripted import LINK, route
 from tests.support.waiting import eventually
 from textual import events
@@ -42,16 +43,6 @@ if TYPE_CHECKING:
     from textual.pilot import Pilot
 
     from rsb_console.app import ConsoleApp
-
-
-class Time:
-    """A clock that tests set."""
-
-    def __init__(self) -> None:
-        self.now = 100.0
-
-    def __call__(self) -> float:
-        return self.now
 
 
 Place = tuple[int, int]

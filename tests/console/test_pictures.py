@@ -1,29 +1,10 @@
 """Exact pictures, each proven to show the console and not a crash before it is compared."""
 
-from collections.abc import Callable
-
 import pytest
-from tests.console.driving import NARROW, WIDE, Steps, scripted_app, settled, shown
-from textual.pilot import Pilot
-from textual.widgets import Input
+from tests.console.driving import NARROW, WIDE, scripted_app
+from tests.console.pictures_helpers import SnapCompare, after
 
-SnapCompare = Callable[..., bool]
 THEMES = ("dark", "light", "high-contrast", "terminal")
-
-
-def after(landmark: str, *keys: str) -> Steps:
-    """Press `keys` once the topics are there, then require `landmark`."""
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await shown(pilot, "q quit")
-        await pilot.press(*keys)
-        await shown(pilot, landmark)
-        for field in pilot.app.screen.query(Input):
-            field.cursor_blink = False
-        await settled(pilot)
-
-    return steps
 
 
 @pytest.mark.parametrize("theme", THEMES)

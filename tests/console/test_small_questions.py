@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.console.arming_helpers import ARMED, DISARMED
 from tests.console.driving import on_main, put, shown, text, until
 from tests.console.live import COMMAND, Pair
-from tests.console.test_arming import ARMED, DISARMED
 from tests.console.tmux import Tmux
 
 import rsb_console

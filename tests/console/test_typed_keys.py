@@ -12,7 +12,7 @@ import time
 from collections.abc import Iterator
 
 import pytest
-from tests.console.test_late_input import Time
+from tests.console.late_input_helpers import Time
 from tests.support import surroundings
 
 from rsb_console.terminal.pulse import ANSWERS_WITHIN, FRESH_FOR, WHO_ARE_YOU, TypedKeys

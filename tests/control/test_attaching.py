@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import pytest
 from tests.console.scripted import EVENTS, ScriptedEngine, refused, route
+from tests.control.attaching_helpers import Stalled, consoles
 from tests.support import constants, replaced
 from tests.support.inside import attached_to, bytes_for, is_sending
 from tests.support.waiting import eventually
@@ -218,10 +219,6 @@ def test_failed_command_of_departed_console_is_no_error(machine: Machine, caplog
     assert "never retrieved" not in caplog.text
 
 
-def consoles(machine: Machine) -> int:
-    return len(attached_to(machine.served[-1]))
-
-
 def test_end_of_bridge_is_told_next_is_attached(machine: Machine) -> None:
     first = machine.serve()
     remote = machine.attach()
@@ -362,20 +359,6 @@ def test_who_says_nothing_is_cut_off(machine: Machine, monkeypatch: pytest.Monke
     machine.serve()
     with control_sockets.connect(machine.folder / "robot1.sock", 60.0) as connection:
         assert connection.recv(1000) == b""
-
-
-class Stalled:
-    """A console that asks for everything and reads nothing."""
-
-    def __init__(self, machine: Machine) -> None:
-        self.connection = control_sockets.connect(machine.folder / "robot1.sock", 60.0)
-        self.connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-        for message in (
-            protocol.ConsoleHello(protocol.VERSION, "0.1.0"),
-            protocol.PollState(),
-            protocol.FollowEvents(0),
-        ):
-            self.connection.sendall(protocol.encode(message))
 
 
 class Busy(ScriptedEngine):

@@ -10,7 +10,7 @@ import threading
 from typing import TYPE_CHECKING, Any, Self
 
 import pytest
-from tests.control.test_attaching import Stalled, consoles
+from tests.control.attaching_helpers import Stalled, consoles
 from tests.support.bridge import carries, heard, linked
 from tests.support.waiting import eventually
 

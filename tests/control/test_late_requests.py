@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.console.scripted import ScriptedEngine
+from tests.control.late_requests_helpers import each_again, slow_line
 from tests.support import replaced
 from tests.support.waiting import eventually
 from tests.support.wording import pattern
@@ -22,11 +23,8 @@ from rsb_bridge.model.commands import AnswerAsker, ArmTopic, AskHolder, Call, Pa
 from rsb_bridge.model.session import Topic
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from tests.support.control import Machine
 
-    from rsb_bridge.control.remote_engine import RemoteEngine
     from rsb_bridge.model.commands import Command
 
 MOVING: list[Command[Any]] = [
@@ -75,26 +73,6 @@ def test_what_changes_a_bridge_states_its_effect() -> None:
     kinds: list[Any] = [kind for kind in typing.get_args(AnyCommand) if inspect.isclass(kind)]
     changing = [kind for kind in kinds if kind.right in (commands.Right.CHANGE, commands.Right.TAKE)]
     assert [kind for kind in changing if not {"always", "effect"} & vars(kind).keys()] == []
-
-
-def each_again(monkeypatch: pytest.MonkeyPatch, do: Callable[[Any], object]) -> None:
-    """Do something with each command right before it is sent again."""
-    send = replaced.ATTACHED_SEND.value
-    sent: list[object] = []
-
-    def send_request(remote: RemoteEngine, waiting: Any) -> None:
-        if any(each is waiting for each in sent):
-            do(waiting)
-        sent.append(waiting)
-        send(remote, waiting)
-
-    replaced.ATTACHED_SEND.set(monkeypatch, send_request)
-
-
-def slow_line(remote: RemoteEngine, monkeypatch: pytest.MonkeyPatch, seconds: float) -> None:
-    """Let the tickets that the console has grow old."""
-    remote._ticket -= int(seconds * 1e3)
-    replaced.ATTACHED_POLL.set(monkeypatch, lambda _: None)  # no further ticket comes by itself
 
 
 @pytest.mark.parametrize("command", MOVING, ids=lambda each: type(each).__name__)

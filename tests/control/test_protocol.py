@@ -13,7 +13,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.console.scripted import ScriptedEngine, route
-from tests.control.test_strangers import CHANGES
+from tests.control.protocol_helpers import fed
+from tests.control.strangers_helpers import CHANGES
 from tests.support.wording import pattern, says
 
 from rsb_bridge.control import protocol
@@ -35,11 +36,6 @@ COMMANDS: tuple[AnyCommand, ...] = (
     commands.DescribeType("k"),
     commands.Template("k", "send_goal"),
 )
-
-
-def fed(data: bytes, *, to_bridge: bool, at_once: int = 1 << 20) -> list[Any]:
-    frames: protocol.Frames[Any] = protocol.frames_to_bridge() if to_bridge else protocol.frames_to_console()
-    return [each for at in range(0, len(data), at_once) for each in frames.feed(data[at : at + at_once])]
 
 
 @pytest.mark.parametrize("at_once", [1, 7, 1000])

@@ -11,6 +11,7 @@ import weakref
 from typing import TYPE_CHECKING, get_args
 
 import pytest
+from tests.control.strangers_helpers import CHANGES
 from tests.support import constants, replaced
 from tests.support.operators import ANNA, BOB, Reachable, Stranger, granted
 from tests.support.waiting import eventually, holds
@@ -33,8 +34,6 @@ from rsb_bridge.model import commands
 from rsb_bridge.model.budgets import CONNECTION, Strangers
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.commands import Right
-from rsb_bridge.model.session import Client, Topic
-from rsb_bridge.model.snapshot import State
 from rsb_bridge.wire import events
 from rsb_bridge.wire.connection import OperatorConsole
 
@@ -46,30 +45,6 @@ if TYPE_CHECKING:
     from rsb_bridge.config.operator_keys import Granted
 
 CONNECTIONS, OPERATORS = 32, 24  # docs/budgets.md, of operators over a network
-TOPIC = Topic("/scan", "transmit")
-CHANGES: tuple[AnyCommand, ...] = (
-    commands.AddTopic(TOPIC),
-    commands.EditTopic("key", TOPIC, seen=TOPIC),
-    commands.RemoveTopic("key"),
-    commands.PauseTopics("key", paused=True),
-    commands.Acknowledge("key", seen=(State.DOWN, "no_link")),
-    commands.ArmTopic("key"),
-    commands.AskHolder("key"),
-    commands.TakeArming("key"),
-    commands.AnswerAsker("key", gives=True),
-    commands.DisarmTopic("key"),
-    commands.AddClient(Client("robot2")),
-    commands.ChangeClient(Client("robot2")),
-    commands.RemoveClient("robot2"),
-    commands.Call("key", "{}"),
-    commands.CallWhole("key", "{}"),
-    commands.Retry(),
-    commands.ShutDownLinks(),
-    commands.Restart(),
-    commands.Reload(),
-    commands.Save(),
-    commands.Stop(),
-)
 
 
 @pytest.mark.parametrize("read_only", [True, False])

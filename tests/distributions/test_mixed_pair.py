@@ -17,7 +17,7 @@ from nav_msgs.msg import Odometry
 from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message
 from tests.calls.ledgers import called
-from tests.engine.test_actions import FIBONACCI
+from tests.engine.actions_helpers import FIBONACCI
 from tests.support import replaced
 from tests.support.bridge import carries, linked
 from tests.support.calls import CallNode
@@ -178,7 +178,7 @@ def test_an_action_of_the_robot_runs(bridge: Bridge, robots_bridge: Programs, ro
 def test_parameters_of_the_robot_are_set(
     bridge: Bridge, robots_bridge: Programs, start: Callable[..., None], robot: Domain, pc: Domain
 ) -> None:
-    from tests.calls.test_parameters import client_of, parameters
+    from tests.calls.parameters_helpers import client_of, parameters
 
     start("-c", _CAMERA, str(robot.id))
     program = Spun(pc.id, "program")

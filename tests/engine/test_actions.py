@@ -13,21 +13,17 @@ pytest.importorskip("test_msgs", reason="no package with an action is installed 
 from action_msgs.msg import GoalStatus, GoalStatusArray
 from rclpy.qos import qos_profile_action_status_default
 from rclpy.serialization import deserialize_message
+from tests.engine.actions_helpers import FIBONACCI
 from tests.support.bridge import feedback_listeners, route
 from tests.support.fibonacci import ACTION, FibonacciClient, FibonacciProcess, FibonacciServer, fibonacci, id_of
 from tests.support.inside import inside
 from tests.support.waiting import eventually
-
-from rsb_bridge.model.session import Topic
 
 if TYPE_CHECKING:
     from tests.support.bridge import Bridge
     from tests.support.domain import Domain, Listener
 
     from rsb_bridge.engine import Engine
-
-FIBONACCI = Topic(ACTION, "receive", kind="action")
-"""The robot provides it."""
 
 
 def test_goals_of_many_clients_at_once(

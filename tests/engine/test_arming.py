@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from msgspec.structs import replace
 from std_srvs.srv import SetBool
+from tests.engine.arming_helpers import COMMANDS, both_armed, is_set_up
 from tests.support import constants, replaced
 from tests.support.bridge import balance, carries, happened, heard, linked, route
 from tests.support.domain import LATCHED, RELIABLE, text
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
     from rsb_bridge.engine import Engine
     from rsb_bridge.ros.node import RosNode
 
-COMMANDS = Topic("/cmd", "receive", arm=True, deadman=0.0)
+__all__ = ["both_armed"]
 
 
 def armed(*engines: Engine) -> list[bool]:
@@ -54,10 +55,6 @@ def published(engine: Engine) -> int:
     assert isinstance(found.half, Receiver)
     before = found.half._before
     return before[1].delivered if before else 0
-
-
-def is_set_up(*engines: Engine) -> bool:
-    return all(route(engine, "/cmd").state == "disarmed" for engine in engines)
 
 
 def publish_for(out: Publisher, words: str, done: Callable[[], object]) -> None:
@@ -170,16 +167,6 @@ def test_latched_history_does_not_cross_on_arming(
     client.disarm(route(client, "/cmd").key).result(30)
     late = robot.listener("/cmd", qos=RELIABLE)
     holds(lambda: not late.payloads, 0.5)
-
-
-@pytest.fixture
-def both_armed(bridge: Bridge, relay: Relay, robot: Domain, pc: Domain, consoles: Consoles) -> tuple[Engine, Engine]:
-    robot.listener("/cmd")
-    pc.publisher("/cmd")
-    server, client = bridge.both(COMMANDS)
-    eventually(lambda: is_set_up(server, client))
-    consoles.arm(server)
-    return server, client
 
 
 @pytest.mark.usefixtures("long_lease")

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 from rclpy.serialization import serialize_message
+from tests.engine.bytes_helpers import INSTALLED
 from tests.support import replaced
 from tests.support.bridge import Bridge, carries, happened, heard, link, protocol_of, route, settled
 from tests.support.domain import LATCHED, Domain, text
@@ -18,17 +19,14 @@ from tests.support.participants import KnownNode, agree
 from tests.support.waiting import eventually
 
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.names import SHORT_NAMES
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
-from rsb_bridge.ros.native.typesupport import installed_class
 from rsb_bridge.ros.ros_interface import TopicSpec
 from rsb_bridge.route.sending import USE_TCP
 from rsb_bridge.wire.sealing import CipherSuite
 
-INSTALLED: dict[str, Any] = {name: found for name in SHORT_NAMES.values() if (found := installed_class(name))}
 MADE_UP_HASH = "RIHS01_" + "5a" * 32
 CDR = b"\x00\x01\x00\x00"
 MEGABYTE = 1 << 20

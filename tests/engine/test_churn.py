@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.engine.churn_helpers import Publisher, Subscription
 from tests.support import constants
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
@@ -22,30 +23,6 @@ from rsb_bridge.ros.ros_interface import Endpoint, RawMessage, TopicSpec
 _TYPE, _HASH, _GID = "std_msgs/msg/String", "RIHS01_" + "1" * 64, b"talker".ljust(16, b"\0")
 _TOPICS = [f"/churn{number}" for number in range(4)]
 _WITHIN = 180.0
-
-
-class Subscription:
-    matched = 1
-
-    def __init__(self, sink: Any) -> None:
-        self.sink = sink
-        self.delivering = threading.RLock()
-        self.closed = False
-
-    def close(self) -> None:
-        with self.delivering:
-            self.closed = True
-
-
-class Publisher:
-    subscriber_count, acknowledged = 1, True
-
-    def __init__(self, gid: bytes, taken: list[bytes]) -> None:
-        self.gid = gid
-        self.publish = taken.append
-
-    def close(self) -> None:
-        pass
 
 
 class Ros(NoRos):

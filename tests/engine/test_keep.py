@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from tests.engine.test_outlive import OUTLIVES, away, numbers
+from tests.engine.outlive_helpers import OUTLIVES, away, numbers
 from tests.support.bridge import balance, carries, outgoing, route, settled
 from tests.support.domain import text
 from tests.support.inside import inside

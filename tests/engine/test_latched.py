@@ -10,7 +10,7 @@ from collections import Counter
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from tests.engine.latched_helpers import JOINS_LATE, latched
 from tests.support import constants
 from tests.support.bridge import connections, halves, linked, listeners, route, settled
 from tests.support.domain import Domain, text
@@ -36,12 +36,6 @@ if TYPE_CHECKING:
 
     from rsb_bridge.engine import Engine
     from rsb_bridge.model.snapshot import RouteSnapshot
-
-JOINS_LATE = QoSProfile(depth=5000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-
-
-def latched(depth: int) -> QoSProfile:
-    return QoSProfile(depth=depth, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 def same_on_both_sides(robot: Domain, pc: Domain, topic: str, expected: list[bytes]) -> None:

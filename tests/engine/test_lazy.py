@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Image
-from tests.engine.test_peeking import key
+from tests.engine.peeking_helpers import key
 from tests.support.bridge import happened, route
 from tests.support.domain import BEST_EFFORT, LATCHED, RELIABLE
 from tests.support.inside import inside

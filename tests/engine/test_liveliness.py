@@ -10,7 +10,7 @@ import pytest
 from rclpy.duration import Duration
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile, qos_profile_best_available
-from tests.engine.test_loops import connect
+from tests.engine.loops_helpers import connect
 from tests.support import constants, replaced
 from tests.support.bridge import find, protocol_of, reloaded, route
 from tests.support.domain import LATCHED, Domain, Listener, text

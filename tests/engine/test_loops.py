@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import itertools
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING
 
 import pytest
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from std_msgs.msg import String
+from tests.engine.loops_helpers import CHAT, DEEP, Pair, connect, new_domain, robot
 from tests.support import constants
-from tests.support.bridge import find, happened, linked, route
+from tests.support.bridge import find, happened, route
 from tests.support.domain import Domain, text
 from tests.support.inside import inside
-from tests.support.ports import free_port
 from tests.support.waiting import eventually
 
 from rsb_bridge.model.codes import EventCode
@@ -22,18 +21,15 @@ from rsb_bridge.model.snapshot import State
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
-    from typing import Literal
 
     from rclpy.publisher import Publisher
     from tests.support.bridge import Bridge
     from tests.support.domain import Listener
 
-    from rsb_bridge.engine import Engine
+__all__ = ["robot"]
 
-CHAT = "/chat"
+
 ENTRY = '{"topic": "/x", "gid": "00", "via": ["a/x"]}'
-DEEP = 1000  # messages kept: none is lost in a burst
-_names = (f"robot{number}" for number in itertools.count(1))
 
 
 @pytest.fixture(autouse=True)
@@ -44,40 +40,8 @@ def patience(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) ->
 
 
 @pytest.fixture
-def robot(_domains: int) -> Iterator[Domain]:
-    """Its node is new: here and there one that has seen many engines come and go is not discovered by the next."""
-    yield from new_domain(_domains)
-
-
-@pytest.fixture
 def pc(_domains: int) -> Iterator[Domain]:
     yield from new_domain(_domains + 1)
-
-
-def new_domain(domain_id: int) -> Iterator[Domain]:
-    domain = Domain(domain_id)
-    yield domain
-    domain.close()
-
-
-class Pair(NamedTuple):
-    """A bridge: two engines, linked."""
-
-    server: Engine
-    client: Engine
-
-
-def connect(
-    bridge: Bridge, here: Domain, there: Domain, *directions: Literal["transmit", "receive"], qos: Any = DEEP
-) -> Pair:
-    """A bridge of the chat: `transmit` is from here to there."""
-    name = next(_names)
-    changes: dict[str, Any] = {"name": name, "server_port": free_port()}
-    topics = [Topic(CHAT, direction, qos=qos) for direction in directions]
-    server = bridge.start(bridge.server_session(domain_id=there.id, **changes))
-    client = bridge.start(bridge.client_session(*topics, domain_id=here.id, **changes))
-    eventually(lambda: linked(client, name) and linked(server, name), what="linked")
-    return Pair(server, client)
 
 
 def one_way(bridge: Bridge, *domains: Domain) -> list[Pair]:

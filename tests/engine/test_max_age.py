@@ -10,7 +10,7 @@ import pytest
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
-from tests.engine.test_latched import JOINS_LATE, latched
+from tests.engine.latched_helpers import JOINS_LATE, latched
 from tests.support import constants
 from tests.support.bridge import linked, opened, route
 from tests.support.domain import text

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 from rclpy.qos import QoSProfile
 from std_srvs.srv import SetBool
+from tests.engine.outlive_helpers import OUTLIVES, away, numbers
 from tests.support.bridge import balance, carries, happened, linked, outgoing, route, settled
 from tests.support.domain import LATCHED, text
 from tests.support.inside import inside
@@ -23,19 +24,7 @@ if TYPE_CHECKING:
     from tests.support.domain import Domain
     from tests.support.relay import Relay
 
-    from rsb_bridge.engine import Engine
     from rsb_bridge.wire.messages import Hello
-
-OUTLIVES = 60.0
-
-
-def away(engine: Engine) -> bool:
-    (link,) = inside(engine).role.links()
-    return link.suspended_since is not None
-
-
-def numbers(payloads: list[bytes]) -> list[int]:
-    return [int(each[8:].split(b" ")[0].rstrip(b"\0")) for each in payloads]
 
 
 @pytest.mark.parametrize(("protocol", "seconds"), [("tcp", 0.0), ("tcp", 3.0), ("udp", 0.0), ("udp", 3.0)])

@@ -7,7 +7,7 @@ import time
 from typing import TYPE_CHECKING, NamedTuple
 
 import pytest
-from tests.engine.test_slow_tunnel import TUNNEL, ages, capacity, publishing
+from tests.engine.slow_tunnel_helpers import TUNNEL, ages, capacity, publishing
 from tests.support.bridge import carries, linked, outgoing
 from tests.support.domain import BEST_EFFORT
 from tests.support.inside import inside

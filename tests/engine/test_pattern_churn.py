@@ -7,7 +7,7 @@ import time
 from collections import Counter
 from typing import TYPE_CHECKING, Any
 
-from tests.engine.test_churn import Publisher, Subscription
+from tests.engine.churn_helpers import Publisher, Subscription
 from tests.support import constants
 from tests.support.inside import inside
 from tests.support.ports import free_port

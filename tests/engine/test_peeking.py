@@ -10,6 +10,7 @@ import pytest
 from nav_msgs.msg import OccupancyGrid, Odometry
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.serialization import serialize_message
+from tests.engine.peeking_helpers import key
 from tests.support import constants, replaced
 from tests.support.bridge import STOPS_WITHIN, carries, linked, route, stage
 from tests.support.domain import LATCHED, text
@@ -55,10 +56,6 @@ class Lacks(KnownNode):
 def _looks_wait(monkeypatch: pytest.MonkeyPatch) -> None:
     """A busy machine may take more than the 10 s that a look waits for a message."""
     constants.PEEKING_WAITS_AT_MOST.set(monkeypatch, 60.0)
-
-
-def key(engine: Engine, topic: str) -> str:
-    return route(engine, topic).key
 
 
 def look(engine: Engine, topic: str, *, kept: bool = False) -> Future[PeekedMessage | None]:

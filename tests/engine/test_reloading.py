@@ -7,18 +7,20 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 import pytest
+from tests.engine.reloading_helpers import Edited, codes
 from tests.support import constants, replaced
 from tests.support.bridge import carries, find, happened, heard, link, linked, route
 from tests.support.domain import text
 from tests.support.waiting import eventually, holds
-from tests.support.wording import pattern
+from tests.support.wording import pattern, says
 
 from rsb_bridge.api import EngineError, Unable
-from rsb_bridge.config.session_file import load_file, save
+from rsb_bridge.config.session_changes import ChangeRefused
+from rsb_bridge.config.session_file import load_file
 from rsb_bridge.link.reloading import ClientStep
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.commands import OWN_CONSOLE, acting
-from rsb_bridge.model.session import Client, Session, Topic
+from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.verdict import LinkCause
 
@@ -31,28 +33,6 @@ if TYPE_CHECKING:
 
     from rsb_bridge.config.session_file import SessionFile
     from rsb_bridge.engine import Engine
-    from rsb_bridge.model.snapshot import Reloaded
-
-
-class Edited:
-    """An engine whose session file is edited."""
-
-    def __init__(self, engine: Engine, path: Path) -> None:
-        self.engine = engine
-        self.path = path
-        self.session: Session = engine.session
-        save(self.session, path)
-        engine.use_file(path)
-
-    def reload(self, *, dry_run: bool = False, **changes: Any) -> Reloaded:
-        """Change the file, and have it read again."""
-        self.session = msgspec.structs.replace(self.session, **changes)
-        save(self.session, self.path)
-        return self.engine.reload(dry_run=dry_run).result(60)
-
-
-def codes(engine: Engine, code: EventCode) -> list[str]:
-    return [event.text for event in engine.events() if event.code == code]
 
 
 def test_only_the_topics_that_differ_change(
@@ -181,7 +161,7 @@ def test_fixed_keys_are_told_the_rest_changes(bridge: Bridge, tmp_path: Path) ->
         f"server_port {port} → {port + 1}",
         f"domain_id {domain} → 100",
     ]
-    assert all("restart the bridge's process" in left for left in reloaded.left)
+    assert all(says(left, ChangeRefused.RESTART) for left in reloaded.left)
     assert (client.session.server_port, client.session.stale_after) == (port, 3.0)
     assert len(codes(client, EventCode.ENGINE_RELOAD_INCOMPLETE)) == 2
     assert file.reload().left == reloaded.left, "it is shown as long as it lasts"

@@ -6,7 +6,7 @@ import socket
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.engine.test_reloading import Edited, codes
+from tests.engine.reloading_helpers import Edited, codes
 from tests.support.bridge import carries, happened, heard, link, linked
 from tests.support.domain import BEST_EFFORT, text
 from tests.support.frames import write_frame

@@ -7,13 +7,11 @@ from contextlib import closing, contextmanager
 from typing import TYPE_CHECKING
 
 import pytest
-from rclpy.serialization import deserialize_message
-from std_msgs.msg import String
+from tests.engine.slow_tunnel_helpers import TUNNEL, ages, capacity, publishing
 from tests.support.bridge import carries, connections, linked, now, outgoing
 from tests.support.calls import CallNode
-from tests.support.domain import BEST_EFFORT, text
-from tests.support.relay import Relay, read_stamp, stamped
-from tests.support.steady import Steady
+from tests.support.domain import BEST_EFFORT
+from tests.support.relay import Relay
 from tests.support.waiting import eventually
 
 from rsb_bridge.model.session import Topic
@@ -21,39 +19,16 @@ from rsb_bridge.model.session import Topic
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from rclpy.publisher import Publisher
     from tests.support.bridge import Bridge
-    from tests.support.domain import Domain, Listener
+    from tests.support.domain import Domain
 
     from rsb_bridge.engine import Engine
     from rsb_bridge.model.snapshot import Ledger
 
-TUNNEL = 5_000
-"""Bytes/s."""
 _STALL = 0.1
 """s by which a thread is late only if the machine stood still: 3 ms on a quiet one, 14 ms beside six busy loops."""
 PINGED_EVERY = 1.0
 """s; the trip is that of the newest ping that was answered."""
-
-
-def publishing(out: Publisher, rate: float, size: int) -> Steady:
-    """Publish stamped messages of so many bytes."""
-    return Steady(out, rate, lambda number: text(stamped(number, size)), catches_up=True)
-
-
-def ages(there: Listener, relay: Relay | None = None) -> list[float]:
-    """Return the age (s) of each message on arrival, in order, without the relay's pauses."""
-    received = [*there.received]  # more may come at once
-    made = [read_stamp(deserialize_message(payload, String).data)[1] for payload in there.payloads[: len(received)]]
-    ways = zip(made, received, strict=True)
-    paused = relay.paused if relay is not None else lambda *_: 0.0
-    return [(came - stamp) / 1e9 - paused(stamp, came) for stamp, came in ways]
-
-
-def capacity(relay: Relay, seconds: float) -> float:
-    """Bytes that the tunnel could carry in the last so many seconds, without the relay's pauses."""
-    end = time.time_ns()
-    return TUNNEL * (seconds - relay.paused(end - int(seconds * 1e9), end))
 
 
 @contextmanager

@@ -7,8 +7,8 @@ from random import Random
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.link.test_route_table import Side
-from tests.route.test_unpacking import OnePublisher, grown
+from tests.link.route_table_helpers import Side
+from tests.route.unpacking_helpers import OnePublisher, grown
 
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.reason import EndCode

@@ -7,12 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 import pytest
+from tests.link.foreign_proposals_helpers import link, rogue
 from tests.support.bridge import happened, linked, now
-from tests.support.inside import inside
-from tests.support.rogue import Rogue
 from tests.support.waiting import eventually
 
-from rsb_bridge.config.keys import read_key
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.demands import ARMED
 from rsb_bridge.model.purposes import purposes
@@ -24,19 +22,10 @@ if TYPE_CHECKING:
     from tests.support.bridge import Bridge
 
     from rsb_bridge.engine import Engine
-    from rsb_bridge.link.link import Link
     from rsb_bridge.model.purposes import Purpose
 
 of_views = pytest.mark.skipif("view" not in purposes(), reason="the core alone")
 KINDS: tuple[Kind, ...] = ("service", "action", "parameters")
-
-
-def rogue(bridge: Bridge) -> Rogue:
-    return Rogue(bridge.port, read_key(bridge.folder / bridge.key_file).secret)
-
-
-def link(engine: Engine) -> Link:
-    return inside(engine).role.links()[0]
 
 
 def names(engine: Engine, side: str | None) -> set[tuple[str, str]]:

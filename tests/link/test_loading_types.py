@@ -6,14 +6,13 @@ import asyncio
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, cast
 
-import pytest
-from tests.link.test_arming import propose, route
-from tests.link.test_route_table import hear_all, pair_of
+from tests.link.arming_helpers import propose, route
+from tests.link.loading_types_helpers import TWIST, Loads, ros
+from tests.link.route_table_helpers import hear_all, pair_of
 
 from rsb_bridge.engine.topic_commands import ArmingCommands
 from rsb_bridge.model.commands import ArmTopic
 from rsb_bridge.model.session import Topic
-from rsb_bridge.ros.no_ros import NoRos
 from rsb_bridge.route.arming import ArmingPhase
 
 if TYPE_CHECKING:
@@ -23,29 +22,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.context import Context
 
-TWIST = "geometry_msgs/msg/Twist"
-
-
-class Loads(NoRos):
-    """Notes which types are loaded, and where.
-
-    Attributes:
-        loaded: types, each with whether the loop had to wait.
-    """
-
-    def __init__(self, loop: VirtualLoop) -> None:
-        super().__init__()
-        self._loop = loop
-        self.loaded: list[tuple[str, bool]] = []
-
-    def installed_hash(self, type_name: str) -> str | None:
-        self.loaded.append((type_name, not self._loop.in_thread))
-        return None
-
-
-@pytest.fixture
-def ros(loop: VirtualLoop) -> Loads:
-    return Loads(loop)
+__all__ = ["ros"]
 
 
 def test_before_a_topic_is_armed(loop: VirtualLoop, ros: Loads, make_context: Callable[..., Context]) -> None:

@@ -9,7 +9,7 @@ import msgspec
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from tests.config.test_typed_topics import FIELDS, names
+from tests.config.typed_topics_helpers import FIELDS, names
 
 from rsb_bridge.config.decoding import read
 from rsb_bridge.config.file_form import as_topic, as_written, foreign

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import msgspec
 import pytest
-from tests.link.test_arming import CONSOLE, arm, events, let_time_pass, propose, route
-from tests.link.test_route_table import hear_all, pair_of
+from tests.link.arming_helpers import CONSOLE, arm, events, let_time_pass, propose, route
+from tests.link.route_table_helpers import hear_all, pair_of
 
 from rsb_bridge.cdr.known_types import resting, stamped, velocity_of
 from rsb_bridge.model.calls import FieldError

@@ -13,6 +13,7 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.link.strangers_helpers import SAID, arrived, first_message, strangers_of
 from tests.support import constants, replaced
 from tests.support.acceptors import Accepting
 from tests.support.bridge import happened, link, linked, route
@@ -32,10 +33,7 @@ from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.transport.tcp import Tcp
-from rsb_bridge.wire.connection import ClientConnection
 from rsb_bridge.wire.datagram import MAGIC
-from rsb_bridge.wire.messages import Hello
-from rsb_bridge.wire.sealing import CipherSuite
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -43,47 +41,8 @@ if TYPE_CHECKING:
     from tests.support.bridge import Bridge
 
     from rsb_bridge.context import Context
-    from rsb_bridge.engine import Engine
 
-
-def first_message(name: str = "robot1", key: bytes | None = None) -> bytes:
-    return ClientConnection(Hello("1", name, "x", 0), key or os.urandom(32), CipherSuite.AESGCM).start()
-
-
-SAID = {
-    "nothing": b"",
-    "rubbish": os.urandom(200_000),
-    "a frame that never ends": struct.pack(">I", 4096) + b"rsb\x01\x01",
-    "a wrong key": first_message(),
-    "a wrong key, and more": first_message() + bytes(1_000_000),
-    "an unknown name": first_message("nobody"),
-    "a stream's preamble": struct.pack(">I", 30) + b"rsb\x01\x02" + bytes(25),
-    "HTTP": b"GET / HTTP/1.1\r\n\r\n",
-}
-
-
-@pytest.fixture
-def arrived(monkeypatch: pytest.MonkeyPatch) -> list[weakref.ref[object]]:
-    """All that servers have made for each stream that came in."""
-    made: list[weakref.ref[object]] = []
-    arrive, connected = Server.make_handler, Stream.connection_made
-
-    def arrives(self: Server) -> StreamHandler:
-        handler: Any = arrive(self)
-        made.extend((weakref.ref(handler), weakref.ref(handler._connection)))
-        return handler  # type: ignore[no-any-return]
-
-    def connects(self: Stream, transport: asyncio.BaseTransport) -> None:
-        made.extend((weakref.ref(self), weakref.ref(transport)))
-        connected(self, transport)
-
-    replaced.STREAM_ARRIVES.set(monkeypatch, arrives)
-    replaced.STREAM_CONNECTED.set(monkeypatch, connects)
-    return made
-
-
-def strangers_of(engine: Engine) -> Strangers:
-    return inside(engine).context.transports.strangers
+__all__ = ["arrived"]
 
 
 @pytest.mark.usefixtures("no_collector")

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 from unittest.mock import patch
 
 import pytest
-from tests.link.test_arming import COMMANDS, CONSOLE, arm, events, let_time_pass, propose, route, turn
-from tests.link.test_route_table import Pair, Side, hear_all, pair_of
+from tests.link.arming_helpers import COMMANDS, CONSOLE, arm, events, let_time_pass, propose, route, turn
+from tests.link.route_table_helpers import Pair, Side, hear_all, pair_of
 from tests.support.wording import says
 
 from rsb_bridge.link.extension import LinkError

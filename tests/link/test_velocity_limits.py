@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import msgspec
 import pytest
-from tests.link.test_arming import propose, route
-from tests.link.test_route_table import Pair, hear_all, pair_of
+from tests.link.arming_helpers import propose, route
+from tests.link.route_table_helpers import Pair, hear_all, pair_of
 
 from rsb_bridge.model.by_hand import VelocityLimits
 from rsb_bridge.model.demands import PEER_DEMANDS, OriginText

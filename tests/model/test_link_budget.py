@@ -6,7 +6,8 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
-from tests.console.scripted import LINK, NOW, route
+from tests.console.scripted import NOW, route
+from tests.model.link_budget_helpers import snapshot
 from tests.support.wording import says
 
 from rsb_bridge.model.capacity import LASTS, Capacity, CapacitySource, newer
@@ -23,7 +24,7 @@ from rsb_bridge.model.link_budget import (
     load_of,
 )
 from rsb_bridge.model.session import Topic
-from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot, State
+from rsb_bridge.model.snapshot import RouteSnapshot, State
 from rsb_bridge.telemetry.meters import Throughput
 
 _SCAN = "sensor_msgs/msg/LaserScan"
@@ -33,14 +34,6 @@ _IMAGE = "sensor_msgs/msg/Image"
 def sent(topic: str, priority: str, rate: float, size: float, **changes: Any) -> RouteSnapshot:
     spec = Topic(topic, "transmit", priority="high" if priority == "high" else "low" if priority == "low" else "normal")
     return route(topic, outgoing=True, spec=spec, rate=rate, bytes_per_second=rate * size, **changes)
-
-
-def snapshot(
-    *routes: RouteSnapshot, carries: float | None = None, source: CapacitySource = CapacitySource.FULL
-) -> Snapshot:
-    capacity = None if carries is None else Capacity(carries, source, NOW - 180.0)
-    link = replace(LINK, capacity_out=capacity)
-    return Snapshot(NOW, "robot1", "client", "10.0.0.20", 3, running=True, links=(link,), routes=routes)
 
 
 def test_it_fits() -> None:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any
 
 import msgspec
 import pytest
-from tests.console.scripted import LINK, NOW, route
+from tests.console.scripted import NOW, route
+from tests.model.robot_summary_helpers import SERVER, UP, a, on_server
 from tests.support.wording import pattern, says
 
 from rsb_bridge.model.robot_summary import (
@@ -25,10 +25,9 @@ from rsb_bridge.model.robot_summary import (
     decode,
     drop_repeated_faults,
     encode,
-    of_clients,
     of_engine,
 )
-from rsb_bridge.model.session import Client, Session, Topic
+from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import (
     Acknowledgement,
     Ledger,
@@ -41,26 +40,7 @@ from rsb_bridge.model.snapshot import (
 from rsb_bridge.model.verdict import Cause, LinkCause
 from rsb_console.widgets.bars import state_counts
 
-SERVER = Session(
-    name="control", role="server", server_ip="0.0.0.0", server_port=7060,
-    clients=(Client("robot1", group="hall"), Client("robot2")),
-)  # fmt: skip
-UP = replace(LINK, state=State.OK, since=NOW - 100.0, reason="", cause="", warning="")
 DOWN = replace(UP, state=State.DOWN, cause=LinkCause.LOST, reason="gone")
-
-
-def on_server(*routes: RouteSnapshot, link: LinkSnapshot = UP, running: bool = True) -> RobotSummary:
-    links = (link, replace(UP, name="robot2"))
-    now = Snapshot(NOW, "control", "server", "0.0.0.0", 1, running=running, links=links, routes=routes)
-    first, second = of_clients(now, SERVER, {}, {})
-    assert (first.name, first.group, second.name, second.group) == ("robot1", "hall", "robot2", "")
-    return first
-
-
-def a(topic: str, state: State = State.OK, **changes: Any) -> RouteSnapshot:
-    """A topic of robot1, as its server sees it."""
-    spec = Topic(topic, "receive" if changes.get("outgoing") else "transmit")
-    return route(f"/robot1{topic}", state, spec=spec, since=NOW - 5.0, **changes)
 
 
 def test_all_is_well() -> None:

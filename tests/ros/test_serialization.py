@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from rclpy.serialization import serialize_message as by_rclpy
 from rosbags.typesys import Stores, get_typestore
-from tests.cdr.test_decoder import TYPES
+from tests.cdr.decoder_helpers import TYPES
 from tests.support.captured import captured
 from tests.support.filled import filled
 from tests.support.resources import resources

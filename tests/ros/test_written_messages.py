@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message
-from tests.cdr.test_decoder import TYPES
+from tests.cdr.decoder_helpers import TYPES
 from tests.support.filled import filled
 from tests.support.wording import pattern
 

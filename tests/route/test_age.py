@@ -6,8 +6,8 @@ import asyncio
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.route.test_loop_filter import FIRST, world
-from tests.route.test_missed_while_down import reopen
+from tests.route.loop_filter_helpers import FIRST, world
+from tests.route.missed_while_down_helpers import reopen
 from tests.support.offline import FakePeer
 from tests.support.virtual_time import set_clock
 
@@ -20,7 +20,7 @@ from rsb_bridge.route.age import MessageAge
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from tests.route.test_loop_filter import World
+    from tests.route.loop_filter_helpers import World
     from tests.support.virtual_time import VirtualLoop
 
     from rsb_bridge.context import Context

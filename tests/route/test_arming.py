@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.route.test_gates import leased
-from tests.route.test_loop_filter import FIRST, World, world
-from tests.route.test_unpacking import OnePublisher, opened
+from tests.route.gates_helpers import leased
+from tests.route.loop_filter_helpers import FIRST, World, world
+from tests.route.unpacking_helpers import OnePublisher, opened
 from tests.support.offline import FakePeer
 
 from rsb_bridge.ros.ros_interface import RawMessage

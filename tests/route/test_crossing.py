@@ -7,7 +7,7 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.route.test_gates import leased
+from tests.route.gates_helpers import leased
 from tests.support.offline import half_of
 
 from rsb_bridge.model.calls import Refused

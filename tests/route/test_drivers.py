@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 import pytest
-from tests.route.test_gates import armed
-from tests.route.test_loop_filter import FIRST, SCAN, SECOND, Graph, World, world, world_of
+from tests.route.gates_helpers import armed
+from tests.route.loop_filter_helpers import FIRST, SCAN, SECOND, Graph, World, world, world_of
 from tests.support.judged import topic_verdict
 from tests.support.offline import half_of
 

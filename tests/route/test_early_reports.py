@@ -6,7 +6,7 @@ import asyncio
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, cast
 
-from tests.route.test_unpacking import OnePublisher, opened
+from tests.route.unpacking_helpers import OnePublisher, opened
 from tests.support.offline import FakePeer
 
 from rsb_bridge.link.link import RouteReports

@@ -7,8 +7,9 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, TypeVar, cast
 
 import pytest
-from tests.route.test_loop_filter import FIRST, SECOND, World, world
-from tests.route.test_unpacking import OnePublisher, opened
+from tests.route.gates_helpers import armed, leased
+from tests.route.loop_filter_helpers import FIRST, SECOND, World, world
+from tests.route.unpacking_helpers import OnePublisher, opened
 from tests.support.offline import FakePeer, half_of
 from tests.support.virtual_time import set_clock
 
@@ -17,7 +18,6 @@ from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.ros_interface import RawMessage, Request
-from rsb_bridge.ros.ros_thread import RosTurns
 from rsb_bridge.route.age import MessageAge
 from rsb_bridge.route.arming import Arming, Disarmed
 from rsb_bridge.route.calls.caller import Caller
@@ -48,7 +48,7 @@ from rsb_bridge.route.gates import (
     young_sieve,
 )
 from rsb_bridge.route.history_depth import Sample
-from rsb_bridge.route.lease import LASTS, LeaseHalf
+from rsb_bridge.route.lease import LASTS
 from rsb_bridge.route.ledger import RouteLedger
 from rsb_bridge.route.peer import CallBudget
 from rsb_bridge.route.rate_limit import AllowedRates
@@ -70,24 +70,6 @@ if TYPE_CHECKING:
 
 __all__ = ["world"]
 A_SECOND = 10**9
-
-
-def leased(arming: Arming, context: Context) -> LeaseHalf:
-    """Give an arming a lease that both sides have answered."""
-    lease = arming.lease = LeaseHalf(context.clock.steady, RosTurns(), lambda: None)
-    lease.begin()
-    for newest in range(1, 3):  # the second shows that the other side knows that it is heard
-        lease.hear(newest, lease.beat()[0])
-    return lease
-
-
-def armed(arming: Arming, context: Context) -> LeaseHalf:
-    """Arm by the other side; return the lease, which both sides have answered."""
-    arming.opened(required=True, deadman=0.0)
-    lease = leased(arming, context)
-    arming.arm_for_peer("anna", context.now())
-    arming.lives()
-    return lease
 
 
 def taken(number: int) -> GatedMessage:

@@ -5,17 +5,15 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.route.idle_routes_helpers import TALKER, Channel
 from tests.support.offline import FakePeer, half_of
 
-from rsb_bridge.channel.channel import Counts
 from rsb_bridge.model.capacity import Fullness
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.faults import PathFault
-from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause, LinkCause
-from rsb_bridge.ros.ros_interface import Endpoint
 from rsb_bridge.route.idling import POLLED_EVERY, SETTLES
 from rsb_bridge.route.sender import Sender
 from rsb_bridge.wire.records import ReceivedReport, VerdictRecord
@@ -26,24 +24,6 @@ if TYPE_CHECKING:
     from tests.support.virtual_time import VirtualLoop
 
     from rsb_bridge.context import Context
-
-
-class Channel:
-    """A channel that takes messages, and is not given any."""
-
-    ready = True
-
-    def close(self, reason: str) -> None:
-        pass
-
-    def counts(self) -> Counts:
-        return Counts(newest=None)
-
-    def datagrams(self, size: int) -> int:
-        return 0
-
-    def trouble(self) -> None:
-        return None
 
 
 class World:
@@ -112,7 +92,6 @@ def test_route_without_publisher_is_ticked_seldom_but_ticked(
 
 
 DOWN = VerdictRecord("DOWN", Cause.NOT_PUBLISHED, "refused by the middleware")
-TALKER = Endpoint("/talker", "std_msgs/msg/String", "", Qos(), b"gid")
 
 
 @pytest.mark.parametrize(

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.route.calls.test_goal_cancels import Client
-from tests.route.calls.test_held import GOAL, Dock, providing
-from tests.route.test_gates import armed
-from tests.route.test_unpacking import OnePublisher, Published, opened
-from tests.route.test_volatile import unwanted
+from tests.route.calls.goal_cancels_helpers import Client
+from tests.route.calls.held_helpers import GOAL, Dock, providing
+from tests.route.gates_helpers import armed
+from tests.route.unpacking_helpers import OnePublisher, Published, opened
+from tests.route.volatile_helpers import unwanted
 from tests.support.inside import outputs_of, refusal_of
 from tests.support.offline import FakePeer
 

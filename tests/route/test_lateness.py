@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from tests.route.test_topic_verdict import NOW, RECEIVER, SENDER, verdict_on
+from tests.route.topic_verdict_helpers import NOW, RECEIVER, SENDER, verdict_on
 
 from rsb_bridge.model.capacity import Fullness
 from rsb_bridge.model.reason import EndCode, Reason

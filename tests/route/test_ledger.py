@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tests.route.test_unpacking import OnePublisher
+from tests.route.unpacking_helpers import OnePublisher
 from tests.support.offline import FakePeer, half_of
 
 from rsb_bridge.model.codes import EventCode

@@ -7,8 +7,8 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.route.test_gates import armed
-from tests.route.test_loop_filter import FIRST, World, world
+from tests.route.gates_helpers import armed
+from tests.route.loop_filter_helpers import FIRST, World, world
 
 from rsb_bridge.cdr.known_types import DRIVING_TYPES
 from rsb_bridge.model.motion import LATEST

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, cast
 
 import pytest
-from tests.route.test_loop_filter import Channel
+from tests.route.loop_filter_helpers import Channel
 
 from rsb_bridge.channel.scheduler import SendingChannel
 from rsb_bridge.model.qos import Qos

@@ -6,8 +6,8 @@ import asyncio
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.route.test_gates import armed
-from tests.route.test_unpacking import HUGE, HeldLoop, OnePublisher, grown, opened, reopened
+from tests.route.gates_helpers import armed
+from tests.route.unpacking_helpers import HUGE, HeldLoop, OnePublisher, grown, opened, reopened
 from tests.support.inside import outputs_of
 from tests.support.offline import FakePeer
 

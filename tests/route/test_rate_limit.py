@@ -6,7 +6,7 @@ from random import Random
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.route.test_unpacking import OnePublisher, opened
+from tests.route.unpacking_helpers import OnePublisher, opened
 from tests.support.held import held_by
 from tests.support.offline import FakePeer
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.route.test_missed_while_down import passes, reopen, world
+from tests.route.missed_while_down_helpers import passes, reopen, world
 
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.reason import EndCode, Reason
@@ -13,7 +13,7 @@ from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
 
 if TYPE_CHECKING:
-    from tests.route.test_loop_filter import World
+    from tests.route.loop_filter_helpers import World
 
 __all__ = ["world"]
 TIMED_OUT = Reason("it has timed out", EndCode.TIMED_OUT)

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.route.test_unpacking import OnePublisher, opened
+from tests.route.unpacking_helpers import OnePublisher, opened
 from tests.support.offline import FakePeer
 
 from rsb_bridge.channel.channel import Counts

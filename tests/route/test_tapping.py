@@ -6,8 +6,8 @@ import asyncio
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.route.test_loop_filter import FIRST, World, world
-from tests.route.test_unpacking import LARGE, HeldLoop, OnePublisher, grown, loop, opened
+from tests.route.loop_filter_helpers import FIRST, World, world
+from tests.route.unpacking_helpers import LARGE, HeldLoop, OnePublisher, grown, loop, opened
 from tests.support.offline import FakePeer
 
 from rsb_bridge.ros.ros_interface import RawMessage

@@ -6,7 +6,6 @@ verdicts, events and rates are compared each second.
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
 from functools import partial
 from math import inf
 from random import Random
@@ -14,7 +13,8 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.route.test_idle_routes import TALKER, Channel
+from tests.route.idle_routes_helpers import TALKER, Channel
+from tests.route.time_by_event_helpers import differences, shown_by
 from tests.support import replaced
 from tests.support.offline import FakePeer, half_of, make_context
 from tests.support.virtual_time import VirtualLoop, virtual_loop
@@ -36,8 +36,6 @@ if TYPE_CHECKING:
     from tests.support.places import Place
 
     from rsb_bridge.context import Context
-    from rsb_bridge.model.snapshot import RouteSnapshot
-    from rsb_bridge.route.route import Route
 
 _LIFE = 2400
 _SEEDS = range(1, 13)
@@ -163,23 +161,6 @@ class Life:
 _EVENTS: list[Callable[[Life], None]] = [
     *[Life.flow] * 6, Life.look, Life.look, Life.pause, Life.reopen, Life.fill, Life.break_path, Life.hear, Life.limit,
 ]  # fmt: skip
-
-
-def shown_by(route: Route) -> tuple[RouteSnapshot, float, float] | None:
-    """Return the snapshot of a half that shows the same, and its times on the loop's clock; else None."""
-    if not route.shows_the_same:
-        return None
-    shown, to_loop = route.snapshot(), route.context.now() - route.context.wall()
-    assert shown.latency_p50 is None, "then its uncertainty, which changes, is not shown"
-    times = shown.since + to_loop, (shown.last_at or 0.0) + to_loop * (shown.last_at is not None)
-    return replace(shown, latency_uncertainty=None, since=0.0, last_at=None), *times
-
-
-def differences(before: tuple[RouteSnapshot, float, float], now: tuple[RouteSnapshot, float, float]) -> list[object]:
-    """Return the fields that differ; times may differ a little, as clocks do."""
-    times = [pair for pair in zip(before[1:], now[1:], strict=True) if abs(pair[0] - pair[1]) > 0.2]
-    figures = [(getattr(before[0], each.name), getattr(now[0], each.name)) for each in fields(now[0])]
-    return [*times, *(pair for pair in figures if pair[0] != pair[1])]
 
 
 def live(seed: int) -> int:

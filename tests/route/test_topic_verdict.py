@@ -9,6 +9,21 @@ import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.route.topic_verdict_helpers import (
+    BEST_EFFORT,
+    INT,
+    LATCHED,
+    NOW,
+    RECEIVER,
+    SENDER,
+    STRING,
+    TALKER,
+    TF,
+    endpoint,
+    endpoints,
+    qos,
+    verdict_on,
+)
 from tests.support.judged import topic_verdict
 
 from rsb_bridge.model.capacity import Fullness
@@ -18,7 +33,6 @@ from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.reason import EndCode, Reason
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import EXPIRES, FINE, LASTING, Cause, LinkCause, Verdict, about, worse
-from rsb_bridge.ros.ros_interface import Endpoint
 from rsb_bridge.route.age import Expired, expired_verdict
 from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.blocking_rules import ACCEPTED, LossyPath
@@ -34,26 +48,8 @@ from rsb_bridge.telemetry.watches import Loss
 from rsb_bridge.wire.records import DeafRecord, ReceivedReport, VerdictRecord
 from rsb_console.notation import formats
 
-NOW = 2e6
-"""s."""
 ON_ONE_LINE = 80
 """Characters of a text that the first screen shows whole."""
-STRING, INT, TF = "std_msgs/msg/String", "std_msgs/msg/Int32", "tf2_msgs/msg/TFMessage"
-RELIABLE, BEST_EFFORT, LATCHED = Qos(), Qos(reliability="best_effort"), Qos(durability="transient_local")
-
-
-def endpoint(node: str, qos: Qos = RELIABLE, type_name: str = STRING, type_hash: str = "RIHS01_1") -> Endpoint:
-    return Endpoint(node, type_name, type_hash, qos, node.encode())
-
-
-TALKER = endpoint("/talker")
-SENDER: dict[str, Any] = {
-    "sends": True, "topic": "/chat", "domain": "2", "accepted": True, "crossing": Crossing.YES, "came": True,
-    "endpoints": [TALKER], "described": True, "type_name": STRING, "qos": RELIABLE,
-}  # fmt: skip
-RECEIVER: dict[str, Any] = SENDER | {
-    "sends": False, "topic": "/robot1/chat", "domain": "3", "endpoints": [endpoint("/rviz")],
-}  # fmt: skip
 
 
 LOSSY = PathFault(LinkCause.LOSSY, "30 % of packets are lost")
@@ -81,11 +77,6 @@ SLOW: dict[str, Any] = {"slow_since": NOW - 8.0, "expected_rate": 20.0}
 
 def unresolved(cause: Cause) -> dict[str, Any]:
     return {"crossing": Crossing.NOT_OPEN, "came": False, "unresolved": cause, "why_unresolved": "as told"}
-
-
-def verdict_on(side: dict[str, Any], **changes: Any) -> Verdict:
-    """Judge with some facts changed."""
-    return topic_verdict(NOW, **(side | changes))
 
 
 def test_a_route_that_flows_is_fine() -> None:
@@ -192,11 +183,11 @@ def test_each_cause_is_named_in_words(
 
 def test_a_new_publisher_has_not_stopped() -> None:
     stopped = {"stopped_since": NOW - 3.0, "expected_rate": 10.0, "new": {b"/new"}}
-    for endpoints, who in (
+    for listed, who in (
         ([endpoint("/new")], f"/new {PUBLISHED_NOTHING[0]}"),
         ([TALKER, endpoint("/new")], f"/talker {STOPPED_PUBLISHING[0]}"),
     ):
-        verdict = verdict_on(SENDER, endpoints=endpoints, **stopped)
+        verdict = verdict_on(SENDER, endpoints=listed, **stopped)
         assert (verdict.state, verdict.cause) == (State.STOPPED, Cause.PUBLISHER_SILENT)
         assert verdict.text.endswith(who)
 
@@ -275,12 +266,6 @@ def test_lossy_path_lets_route_recover_and_die() -> None:
     assert on_lossy_path("fine", path=None, lossy=lossy) == on_lossy_path("fine", lossy=lossy) == ["ok"]
 
 
-nodes = st.sampled_from(["", "/a", "/b", "/c", "/d", "/a/very/long/name"])
-qos = st.sampled_from([RELIABLE, BEST_EFFORT, LATCHED, Qos(deadline=0.1)])
-endpoints = st.lists(
-    st.builds(endpoint, nodes, qos, st.sampled_from([STRING, INT]), st.sampled_from(["", "RIHS01_1", "RIHS01_2"])),
-    max_size=6,
-)
 moments = st.sampled_from([None, NOW - 5.0, NOW - 1e6])
 losses = st.none() | st.builds(
     lambda lost, more, cause: Loss(lost, lost + more, cause, 0.0),

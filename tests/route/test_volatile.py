@@ -7,8 +7,8 @@ from collections import deque
 from random import Random
 
 import pytest
+from tests.route.volatile_helpers import unwanted
 
-from rsb_bridge.model.calls import Refused
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.route.source_publishers import BURST_DEPTH, FREE, SlowSubscriberError, VolatileTopic
 from rsb_bridge.wire.framing import Budget
@@ -65,11 +65,6 @@ class Time:
 
     def __call__(self) -> float:
         return self.s
-
-
-def unwanted() -> Refused:
-    """Look at a message that may not be published any more."""
-    return Refused.TOO_OLD
 
 
 def fill(topic: VolatileTopic) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from unittest.mock import patch
 
 import pytest
-from tests.route.test_time_by_event import differences, shown_by
+from tests.route.time_by_event_helpers import differences, shown_by
 from tests.simulation.conditions import LIVELY, QUIET, STILL, Conditions
 from tests.simulation.episodes import type_differs_for
 from tests.simulation.node import Node

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import ctypes
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -15,6 +13,7 @@ import pytest
 from tests.support.domain import text
 from tests.support.program import Program
 from tests.support.waiting import eventually
+from tests.system.confined_helpers import CONFINED, ROOT, confined, has_seccomp
 
 from rsb_bridge.config.session_file import save
 from rsb_bridge.model.codes import EventCode
@@ -28,24 +27,8 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.session import Session
 
-ROOT = Path(__file__).parents[2]
-UNIT = ROOT / "configs" / "rsb-console@.service"
-CONFINED = [sys.executable, "-m", "tests.support.sandbox", str(UNIT)]
-
-
-def has_seccomp() -> bool:
-    try:
-        ctypes.CDLL("libseccomp.so.2")
-    except OSError:
-        return False
-    return shutil.which("systemd-analyze") is not None
-
 
 pytestmark = pytest.mark.skipif(not has_seccomp(), reason="systemd-analyze and libseccomp are not installed")
-
-
-def confined(*command: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([*CONFINED, *command], cwd=ROOT, capture_output=True, text=True, timeout=120, check=False)
 
 
 class Service:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
+from tests.wire.document_helpers import documented_fields
 
 import rsb_bridge
 from rsb_bridge.model.by_hand import VelocityLimits
@@ -45,19 +46,6 @@ STRUCTS = {
 
 def _section(number: int) -> str:
     return DOCUMENT.split(f"\n## {number}. ")[1].split("\n## ")[0]
-
-
-def documented_fields(text: str) -> dict[str, set[str]]:
-    """Tables of messages: the first column names a message where it isn't empty, the second its fields."""
-    fields: dict[str, set[str]] = {}
-    name = ""
-    for row in re.findall(r"^\|(.*)\|$", text, re.MULTILINE):
-        first, second, *_ = (cell.strip() for cell in row.split("|"))
-        if first in ("message", "map") or first.startswith("---"):
-            continue
-        name = first or name
-        fields.setdefault(name, set()).update(re.split(", *", second))
-    return fields
 
 
 def test_every_message_is_documented_and_no_other() -> None:

@@ -1,6 +1,5 @@
 import math
 import typing
-from functools import partial
 from typing import Any
 
 import msgspec
@@ -9,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.support.wording import pattern
 from tests.wire.links import HELLO, WELCOME
+from tests.wire.messages_helpers import PLAIN
 
 from rsb_bridge.model.by_hand import VelocityLimits
 from rsb_bridge.model.text import sanitize_text
@@ -17,41 +17,6 @@ from rsb_bridge.wire.codec import decode, decode_hello, decode_urgent, decode_we
 from rsb_bridge.wire.protocol_error import Broken, ProtocolError
 
 PROPOSE = messages.Propose(route=1, topic="/scan", remote_topic="/robot1/scan", from_client=True)
-
-
-def filled(kind: msgspec.inspect.Type, default: object = None, *, all_fields: bool = True) -> Any:
-    """Return a value of a type, as plain data, in which no field has its default, or which has only what it must."""
-    inspect, inner = msgspec.inspect, partial(filled, all_fields=all_fields)
-    match kind:
-        case inspect.StructType():
-            wanted = [field for field in kind.fields if all_fields or field.required]
-            tag = {} if kind.tag is None else {kind.tag_field: kind.tag}
-            return tag | {field.encode_name: inner(field.type, field.default) for field in wanted}
-        case inspect.VarTupleType():
-            return [inner(kind.item_type)] * (1 if all_fields else kind.min_length or 0)
-        case inspect.TupleType():
-            return [*map(inner, kind.item_types)]
-        case inspect.DictType():
-            return {inner(kind.key_type): inner(kind.value_type)} if all_fields else {}
-        case inspect.UnionType():
-            return inner(next(each for each in kind.types if not isinstance(each, inspect.NoneType)), default)
-        case inspect.LiteralType():
-            return next(each for each in kind.values if each != default)
-        case inspect.EnumType():
-            return next(each.value for each in kind.cls if each != default)
-        case inspect.IntType() | inspect.FloatType():
-            return min(3, 3 if kind.le is None else kind.le)
-        case inspect.BytesType():
-            return b"x" * (kind.min_length or 3)
-        case inspect.BoolType():
-            return default is not True
-    assert isinstance(kind, inspect.StrType)
-    return "größer"
-
-
-KINDS: tuple[type[messages.ControlMessage], ...] = typing.get_args(messages.ControlMessage)
-PLAIN = [filled(msgspec.inspect.type_info(kind), all_fields=each) for kind in KINDS for each in (True, False)]
-"""Two of each message, as plain data."""
 
 
 def says(written: Any, plain: Any) -> bool:

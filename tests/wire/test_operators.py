@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.support.wording import pattern
 from tests.wire.links import KEY, OTHER_KEY, make_client, make_server, the
+from tests.wire.operators_helpers import VERSION, attached, make_console, make_engine
 
 from rsb_bridge.model.names import fingerprint_of
 from rsb_bridge.wire.connection import (
@@ -21,7 +22,6 @@ from rsb_bridge.wire.events import Admitted, Event, Failed, OperatorOpened, Refu
 from rsb_bridge.wire.framing import LENGTH, PREAMBLE_LIMIT, pack_frame
 from rsb_bridge.wire.preamble import (
     PreambleKind,
-    Refusal,
     operator_header,
     parse_control,
     parse_operator,
@@ -32,33 +32,7 @@ from rsb_bridge.wire.protocol_error import Broken, Misuse, ProtocolError
 from rsb_bridge.wire.sealed_stream import Credential, NoiseHandshake, ReplayCache
 from rsb_bridge.wire.sealing import Sealer
 
-VERSION = 7
 TAG = OPERATOR_SUITE.tag_length
-
-
-def make_console(
-    *, operator: str = "anna", key: bytes = KEY, engine: str = "robot1", version: int = VERSION, host: str = "pc"
-) -> OperatorConsole:
-    return OperatorConsole(operator, key, engine, version=version, host=host)
-
-
-def make_engine(*, name: str = "robot1", key: bytes = KEY) -> OperatorEngine:
-    replays = ReplayCache()
-
-    def identity(operator: str) -> Credential:
-        if operator != "anna":
-            raise Refusal(RefusalCode.UNKNOWN_NAME, f"no operator {operator!r}")
-        return Credential((key,), replays)
-
-    return OperatorEngine(name, identity)
-
-
-def attached() -> tuple[OperatorConsole, OperatorEngine]:
-    console, engine = make_console(), make_engine()
-    assert engine.receive_data(console.start()) == []
-    the(Admitted, console.receive_data(engine.data_to_send()))
-    the(Admitted, engine.receive_data(console.data_to_send()))
-    return console, engine
 
 
 def contents(events: list[Event]) -> bytes:

@@ -1,4 +1,4 @@
-"""What argparse keeps of a parser, and offers no way to read or to change."""
+"""The contents of a parser, which argparse offers no way to read or to change."""
 
 from __future__ import annotations
 

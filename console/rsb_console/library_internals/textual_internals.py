@@ -113,7 +113,7 @@ class TerminalDriver(LinuxDriver):
 
     @property
     def queue(self) -> Queue[str | None]:
-        """What the thread still has to write, at most 30 texts; None ends it."""
+        """The texts that the thread has not written yet, at most 30; None ends it."""
         assert self._writer_thread is not None, "application mode"
         return self._writer_thread._queue
 
@@ -144,7 +144,7 @@ class TerminalDriver(LinuxDriver):
         self._enable_mouse_support()
 
     def set_text_modes(self) -> None:
-        """Set the other modes again, and ask for those that the terminal may not have."""
+        """Set the other modes again, and ask whether the terminal can show frames at once and tell its size."""
         self._enable_bracketed_paste()
         self._disable_line_wrap()
         self._request_terminal_sync_mode_support()
@@ -244,7 +244,7 @@ class OpenApp(App[ReturnType]):
 
     @property
     def driver_now(self) -> Driver | None:
-        """What drives the terminal."""
+        """The terminal's driver, or None before the app runs."""
         return self._driver
 
     @property

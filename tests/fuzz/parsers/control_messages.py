@@ -12,7 +12,7 @@ import zstandard
 from tests.fuzz.editing import behind, edit_frames, edit_msgpack, split_frames
 from tests.fuzz.parser import Parser, check_text
 from tests.wire.links import CONTROL_HEADER, HELLO, WELCOME, established
-from tests.wire.test_messages import PLAIN
+from tests.wire.messages_helpers import PLAIN
 
 from rsb_bridge.link.control_channel import entries_in_slices
 from rsb_bridge.model.limits import REASON_LENGTH

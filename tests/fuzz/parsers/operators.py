@@ -7,7 +7,7 @@ from functools import partial
 
 from tests.fuzz.editing import behind, edit_bytes
 from tests.fuzz.parser import Parser, check_text
-from tests.wire.test_operators import attached, make_console, make_engine
+from tests.wire.operators_helpers import attached, make_console, make_engine
 
 from rsb_bridge.wire.connection import HOST_BYTES, RECORD_CONTENT, OperatorConsole, OperatorEngine
 from rsb_bridge.wire.events import Admitted, Event, Failed, OperatorOpened, RefusalCode, StreamRefused

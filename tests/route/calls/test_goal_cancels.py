@@ -6,7 +6,8 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.route.calls.test_held import providing
+from tests.route.calls.goal_cancels_helpers import Client
+from tests.route.calls.held_helpers import providing
 from tests.support.goals import cancel_request, cancel_response, goal, goal_response, statuses
 from tests.support.inside import paced
 
@@ -14,7 +15,7 @@ from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL, STATUS
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.demands import Demands, sources_of_names
 from rsb_bridge.model.session import ArmedName
-from rsb_bridge.ros.ros_interface import Response, RosError
+from rsb_bridge.ros.ros_interface import Response
 from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.calls.action_goals import ProviderGoals
 from rsb_bridge.route.calls.paced_client import PacedClient
@@ -26,27 +27,6 @@ if TYPE_CHECKING:
 
     from rsb_bridge.context import Context
     from rsb_bridge.route.calls.provider import Provider
-
-
-class Client:
-    """A client of a service of the action.
-
-    Attributes:
-        calls: what it was asked.
-        ready: whether a call reaches the server.
-    """
-
-    def __init__(self) -> None:
-        self.calls: list[bytes] = []
-        self.ready = True
-
-    def call(self, request: bytes) -> int:
-        if not self.ready:
-            raise RosError("no server")
-        self.calls.append(request)
-        return len(self.calls)
-
-    def close(self) -> None: ...
 
 
 @pytest.fixture

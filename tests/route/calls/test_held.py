@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING
 
 import pytest
+from tests.route.calls.held_helpers import GOAL, Dock, providing
 from tests.support.goals import cancel_request, goal, goal_request
 from tests.support.inside import refusal_of
 from tests.support.offline import half_of
 
 from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL, Refused
-from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
-from rsb_bridge.ros.no_ros import NoRos
-from rsb_bridge.ros.ros_interface import Endpoint
 from rsb_bridge.ros.ros_thread import RosTurns
 from rsb_bridge.route.calls.action_goals import CallerGoals
 from rsb_bridge.route.calls.asked_calls import CallerCall
@@ -21,7 +19,6 @@ from rsb_bridge.route.calls.caller import Caller
 from rsb_bridge.route.calls.calls_ledger import REMEDIES
 from rsb_bridge.route.calls.goals import accepted_by
 from rsb_bridge.route.calls.manual_call import CallError
-from rsb_bridge.route.calls.provider import Provider
 from rsb_bridge.route.crossing import Crossing
 from rsb_bridge.route.gates import why_not_by_hand
 from rsb_bridge.route.lease import BEAT, LASTS, LeaseHalf
@@ -35,7 +32,6 @@ if TYPE_CHECKING:
 
     from rsb_bridge.context import Context
 
-GOAL = goal_request(goal(1))
 UNREADABLE = b"\0\x0b" + GOAL[2:]
 """In an encoding that no goal's id is read of."""
 
@@ -156,36 +152,3 @@ class Answers:
 
     def close(self) -> None:
         pass
-
-
-class Dock(NoRos):
-    """The ROS side of an action's server.
-
-    Attributes:
-        clients: the services that were to be called.
-    """
-
-    _TYPES: ClassVar = {
-        "send_goal": "a/action/B_SendGoal",
-        "cancel_goal": "action_msgs/srv/CancelGoal",
-        "get_result": "a/action/B_GetResult",
-    }
-
-    def __init__(self, client: Any = None) -> None:
-        self.clients: list[str] = []
-        self._client = client
-
-    def servers(self, service: str) -> list[Endpoint]:
-        return [Endpoint("/dock", self._TYPES[service.rpartition("/")[2]], "h", Qos(), service.encode())]
-
-    def call_service(self, service: str, *_: Any, **__: Any) -> Any:
-        self.clients.append(service)
-        return self._client
-
-
-def providing(context: Context, **fields: Any) -> Provider:
-    """An action's half where its server is, in an opening of its own."""
-    spec = Topic("/dock", "transmit", kind="action", **fields)
-    half = half_of(Provider, context, spec, here=False)
-    half.route.arming.opened(required=spec.arm, deadman=0.0)
-    return half

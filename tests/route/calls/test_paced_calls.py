@@ -8,7 +8,7 @@ from functools import partial
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-from tests.route.calls.test_gone import LAMP, Graph, providing
+from tests.route.calls.gone_helpers import LAMP, Graph, providing
 
 from rsb_bridge.ros.ros_interface import Response
 from rsb_bridge.route.calls.paced_client import PacedClient

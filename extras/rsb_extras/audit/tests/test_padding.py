@@ -10,7 +10,7 @@ import pytest
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
-from tests.cdr.test_decoder import TYPES, described
+from tests.cdr.decoder_helpers import TYPES, described
 from tests.support.filled import filled
 from tests.support.wording import says
 

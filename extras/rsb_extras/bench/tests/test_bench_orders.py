@@ -7,7 +7,7 @@ from typing import get_args
 import msgspec
 import pytest
 from tests.control.conftest import reachable
-from tests.control.test_protocol import fed
+from tests.control.protocol_helpers import fed
 from tests.support.operators import BOB, Reachable, Stranger
 
 from rsb_bridge.control.protocol import CommandFailed, CommandRequest, encode

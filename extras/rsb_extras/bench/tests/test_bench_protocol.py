@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import msgspec
-from tests.wire.test_document import documented_fields
+from tests.wire.document_helpers import documented_fields
 
 from rsb_extras import bench
 

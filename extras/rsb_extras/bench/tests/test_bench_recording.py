@@ -22,8 +22,8 @@ from rsb_extras.bench.measured_stream import MeasuredArrivals
 from rsb_extras.bench.results import BenchReport, Run
 from rsb_extras.bench.suite import QUICK, Plan, Suite
 from rsb_extras.bench.tests.bench_places import LOOPBACK, MOST_BYTES, MOST_FOREIGN, MOST_MESSAGES, WRITE_RECORDINGS
+from rsb_extras.bench.tests.command_helpers import TINY, bench
 from rsb_extras.bench.tests.simulated import SimulatedLink, SimulatedPlace
-from rsb_extras.bench.tests.test_command import TINY, bench
 from rsb_extras.recording.tests.recordings import read, read_strictly
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from xml.etree import ElementTree as ET
 
 import msgspec
 import pytest
-from tests.command.test_printing import EVIL
+from tests.command.printing_helpers import EVIL
 from tests.support.commands import rsb_console
 from tests.support.waiting import eventually
 from tests.support.wording import says
@@ -31,21 +31,12 @@ from rsb_extras.bench.results import BenchReport
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from rsb_extras.bench.tests.test_link import Pair
+    from rsb_extras.bench.tests.link_helpers import Pair
 
-from rsb_extras.bench.tests.test_link import LEAVE, linked, pair
+from rsb_extras.bench.tests.command_helpers import TINY, WITHIN, bench
+from rsb_extras.bench.tests.link_helpers import LEAVE, linked, pair
 
 __all__ = ["linked", "pair"]
-
-WITHIN = 240.0
-TINY = ("--sizes", "2500", "--seconds", "3", "--json")
-
-
-def bench(*arguments: str) -> tuple[int, str, str]:
-    """Exit code, output, errors."""
-    command = [sys.executable, "-m", "rsb_console", "bench", *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=WITHIN, check=False)
-    return done.returncode, done.stdout, done.stderr
 
 
 @pytest.mark.parametrize(

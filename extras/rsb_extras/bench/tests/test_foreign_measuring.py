@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from tests.link.test_foreign_proposals import link, rogue
+from tests.link.foreign_proposals_helpers import link, rogue
 from tests.support.frames import write_frame
 from tests.support.inside import inside
 from tests.support.waiting import eventually

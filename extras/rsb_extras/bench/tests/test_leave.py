@@ -8,7 +8,7 @@ from rsb_bridge.config.validation import build, validate
 from rsb_bridge.model.session import Client, Session
 from rsb_extras.bench import LIMITS, BenchmarkLimits
 from rsb_extras.bench.link_bench import HOUR, BenchBudget
-from rsb_extras.bench.tests.test_peer_s_share import Here
+from rsb_extras.bench.tests.peer_s_share_helpers import Here
 
 SERVER = {"name": "pc", "role": "server", "server_ip": "127.0.0.1", "server_port": 7060, "key_file": "k"}
 BENCHES = Here().bench

@@ -13,12 +13,15 @@ from typing import TYPE_CHECKING
 import pytest
 from tests.console.driving import is_shown, on_main, shown, until
 from tests.console.live import flows, watch
+from tests.support import surroundings
 from tests.support.captured import own_lines
 from tests.support.commands import rsb_console
 from tests.support.locks import alone
+from tests.support.wording import says
 
 from rsb_console.app import ConsoleApp
 from rsb_console.command.argument_values import ValueProblem
+from rsb_console.command.local_commands import LocalText
 from rsb_console.screens.dialog import ConfirmScreen
 from rsb_extras.demo.demo_session import running_demo
 
@@ -33,6 +36,15 @@ def test_it_ends_after_some_time_only() -> None:
     run = rsb_console("demo", "--seconds", "0")
     assert run.returncode == 2
     assert ValueProblem.NOT_ABOVE_0(text="0", noun="number of seconds") in run.stderr
+
+
+def test_its_console_is_refused_without_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    with Path(os.devnull).open() as nothing:
+        surroundings.set_stdin(monkeypatch, nothing)
+        run = rsb_console("demo")
+    assert run.returncode == 2
+    assert says(run.stderr, LocalText.NO_TERMINAL)
+    assert "--no-ui" in run.stderr
 
 
 @pytest.mark.usefixtures("only_demo")

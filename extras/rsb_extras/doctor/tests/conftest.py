@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
+from tests.command.children_helpers import planted
 from tests.command.conftest import here, ran
-from tests.command.test_children import planted
 
 __all__ = ["here", "planted", "ran"]

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from tests.command.conftest import here, ran
 from tests.console.conftest import _parsed_once, _same_everywhere, _toasts_stay
+from tests.engine.arming_helpers import both_armed
 from tests.engine.conftest import _answers_take_their_time, consoles, loop, make_context
-from tests.engine.test_arming import both_armed
 from tests.support import constants
 from tests.support.long_lease import lengthen_lease
 

@@ -17,7 +17,7 @@ from rsb_bridge.model.by_hand import VelocityLimits
 from rsb_bridge.model.session import ArmedName, Topic
 from rsb_extras.driving.publish_requests import Publish
 from rsb_extras.driving.publishing import PublishProblem
-from rsb_extras.driving.tests.test_publishing import can_be_armed, driven, publish
+from rsb_extras.driving.tests.publishing_helpers import can_be_armed, driven, publish
 
 if TYPE_CHECKING:
     from tests.support.bridge import Bridge

@@ -11,14 +11,14 @@ from tests.support.fleet import ServerEngine
 from rsb_bridge.model.audience import Audience
 from rsb_extras.driving.publish_requests import Published
 from rsb_extras.driving.tests.publishing_engine import PublishingEngine
-from rsb_extras.fleet.tests import test_fleet_command
+from rsb_extras.fleet.tests.fleet_command_helpers import Fleet, fleet
 
 if TYPE_CHECKING:
     from tests.support.control import Machine
 
-    from rsb_extras.fleet.tests.test_fleet_command import Fleet
+    from rsb_extras.fleet.tests.fleet_command_helpers import Fleet
 
-fleet = test_fleet_command.fleet
+__all__ = ["fleet"]
 
 
 class PublishingServer(PublishingEngine, ServerEngine):

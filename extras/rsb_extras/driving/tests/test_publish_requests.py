@@ -2,8 +2,8 @@
 
 import pytest
 from tests.console.scripted import ScriptedEngine
-from tests.control.test_late_requests import each_again, slow_line
-from tests.control.test_protocol import fed
+from tests.control.late_requests_helpers import each_again, slow_line
+from tests.control.protocol_helpers import fed
 from tests.support import replaced
 from tests.support.control import Machine
 from tests.support.waiting import eventually

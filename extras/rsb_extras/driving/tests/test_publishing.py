@@ -41,6 +41,18 @@ from rsb_extras.driving.landing import Landing, LandingText
 from rsb_extras.driving.publish_requests import Draft, DraftMessage, Publish
 from rsb_extras.driving.publishing import AT_ONCE, TOPICS, PublishProblem
 from rsb_extras.driving.tests import driving_places
+from rsb_extras.driving.tests.publishing_helpers import (
+    DRIVEN,
+    STRING,
+    TWIST,
+    TWIST_STAMPED,
+    can_be_armed,
+    drive,
+    driven,
+    of,
+    publish,
+    speeds,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -55,9 +67,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.wording import Wording
     from rsb_extras.driving.publish_requests import Published
 
-STRING, TWIST, TWIST_STAMPED = "std_msgs/msg/String", "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
 POSE = "geometry_msgs/msg/PoseStamped"
-DRIVEN = Topic("/cmd", "receive", arm=True, deadman=0.0)
 
 
 def give(engine: Engine, topic: str, fields: str, type_name: str = "", ticket: int = 0) -> Future[Published]:
@@ -68,27 +78,9 @@ def draft(engine: Engine, topic: str, type_name: str = "") -> Draft:
     return engine.do(DraftMessage(topic, type_name)).result(30)
 
 
-def publish(engine: Engine, fields: str, topic: str = "/cmd", **more: object) -> Published:
-    """Publish a message, with a ticket where it needs one."""
-    published = engine.do(Publish(topic, fields, **more)).result(30)  # type: ignore[arg-type]
-    if not published.is_done:
-        again: dict[str, object] = {**more, "ticket": published.ticket}
-        published = engine.do(Publish(topic, fields, **again)).result(30)  # type: ignore[arg-type]
-    assert published.is_done
-    return published
-
-
 def armed(engine: Engine) -> bool:
     found = route(engine, "/cmd").arming
     return found is not None and found.armed
-
-
-def can_be_armed(*engines: Engine) -> bool:
-    return all(route(engine, "/cmd").state == "disarmed" and is_accepted(engine, "/cmd") for engine in engines)
-
-
-def of(engine: Engine, code: EventCode) -> list[tuple[str, str, str]]:
-    return [(event.topic, event.who, event.new) for event in engine.events() if event.code == code]
 
 
 # --- what it reaches
@@ -316,28 +308,9 @@ def test_a_topic_without_arming_is_not_driven(bridge: Bridge, pc: Domain, robot:
 # --- rests
 
 
-def speeds(listener: Listener) -> list[float]:
-    return [deserialize_message(each, Twist).linear.x for each in listener.payloads]
-
-
 def changes(listener: Listener) -> list[float]:
     """Return its speeds without repetitions: a rest comes several times."""
     return [speed for speed, _ in itertools.groupby(speeds(listener))]
-
-
-def drive(engine: Engine, speed: float, rest_after: float = 0.5) -> Published:
-    return publish(engine, f"linear: {{x: {speed}}}", rest="linear: {x: 0}", rest_after=rest_after)
-
-
-def driven(
-    bridge: Bridge, pc: Domain, consoles: Consoles, topic: Topic | None = None, of: type = Twist
-) -> tuple[Engine, Engine]:
-    """A server and a client with a topic that is armed on the server and may be driven."""
-    pc.publisher("/cmd", of)
-    server, client = bridge.both(topic or replace(DRIVEN, type=TWIST))
-    eventually(lambda: can_be_armed(server, client))
-    consoles.arm(server)
-    return server, client
 
 
 @pytest.mark.usefixtures("long_lease")

@@ -7,8 +7,7 @@ import contextlib
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, cast
 
-from tests.link import test_loading_types
-from tests.link.test_loading_types import TWIST, Loads
+from tests.link.loading_types_helpers import TWIST, Loads, ros
 
 from rsb_bridge.link.extension import LinkError
 from rsb_bridge.ros.ros_interface import RosError
@@ -22,7 +21,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.context import Context
 
-ros = test_loading_types.ros
+__all__ = ["ros"]
 
 
 def test_before_a_message_by_hand(loop: VirtualLoop, ros: Loads, make_context: Callable[..., Context]) -> None:

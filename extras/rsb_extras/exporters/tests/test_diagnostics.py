@@ -10,7 +10,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import Twist
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import String
-from tests.engine.test_reloading import Edited
+from tests.engine.reloading_helpers import Edited
 from tests.support.bridge import carries, find, happened, link, linked, route
 from tests.support.domain import LATCHED
 from tests.support.waiting import eventually

@@ -15,7 +15,7 @@ import pytest
 from geometry_msgs.msg import Twist
 from msgspec.structs import replace
 from prometheus_client.parser import text_string_to_metric_families
-from tests.engine.test_reloading import Edited
+from tests.engine.reloading_helpers import Edited
 from tests.support.bridge import carries, linked
 from tests.support.captured import own_lines
 from tests.support.domain import text
@@ -24,7 +24,7 @@ from tests.support.waiting import eventually
 
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Level
-from rsb_extras.driving.tests.test_publishing import DRIVEN, TWIST, can_be_armed, drive, speeds
+from rsb_extras.driving.tests.publishing_helpers import DRIVEN, TWIST, can_be_armed, drive, speeds
 from rsb_extras.exporters.exporter_codes import ExporterCode
 from rsb_extras.exporters.metrics import MetricsServer
 from rsb_extras.exporters.tests import exporter_places

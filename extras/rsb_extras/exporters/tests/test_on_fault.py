@@ -6,7 +6,7 @@ import json
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.engine.test_reloading import Edited
+from tests.engine.reloading_helpers import Edited
 from tests.support import constants
 from tests.support.bridge import carries, find, link, linked, route
 from tests.support.domain import text

@@ -6,33 +6,28 @@ import os
 import re
 import signal
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
 
 import pytest
 from tests.console.scripted import NOW, ScriptedEngine, call_route
 from tests.support import surroundings
 from tests.support.fleet import ServerEngine
-from tests.support.waiting import eventually
 
 from rsb_bridge.model.robot_summary import RobotState
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import RouteSnapshot, State
 from rsb_extras.fleet.fleet import Memory, Remembered, memory_path
-from rsb_extras.fleet.tests import fleet_places
-from rsb_extras.fleet.tests.scripted_fleet import state_of
+from rsb_extras.fleet.tests.fleet_command_helpers import fleet
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from tests.support.commands import Ran
     from tests.support.control import Machine
 
-    from rsb_bridge.model.robot_summary import RobotSummary
-    from rsb_extras.fleet.server_source import ServerFleet
+    from rsb_extras.fleet.tests.fleet_command_helpers import Fleet
 
-Fleet: TypeAlias = "Callable[..., Ran]"
+__all__ = ["fleet"]
+
+
 QUICK = ("--seconds", "0.1")
 SETTLE = ("--settle", "0.2")
 
@@ -40,23 +35,6 @@ SETTLE = ("--settle", "0.2")
 @pytest.fixture
 def engine(machine: Machine) -> ServerEngine:
     return machine.have(ServerEngine("robot1", "robot2", "robot3"))
-
-
-@pytest.fixture
-def fleet(ran: Fleet, machine: Machine, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Fleet:
-    robots: Callable[[ServerFleet], list[RobotSummary]] = fleet_places.ROBOTS.value
-
-    def newest(source: ServerFleet) -> list[RobotSummary]:
-        """Look once the last edit shows, up to 0.25 s later: to the program, which waits for 10 s, that is nothing."""
-        edited = [each for each in machine.engines if isinstance(each, ServerEngine)]
-        if edited and not source.problem:
-            eventually(lambda: state_of(source).time == edited[-1].now.time)
-        return robots(source)
-
-    fleet_places.ROBOTS.set(monkeypatch, newest)
-    monkeypatch.setenv("RSB_CONSOLE_ISOLATED", "1")
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    return partial(ran, "fleet")
 
 
 def answers(monkeypatch: pytest.MonkeyPatch, text: str) -> None:

@@ -29,7 +29,7 @@ from tests.console.driving import (
 )
 from tests.console.scripted import NOW, SESSION, ScriptedEngine
 from tests.console.tmux import Tmux
-from tests.model.test_robot_summary import a, on_server
+from tests.model.robot_summary_helpers import a, on_server
 from tests.support import surroundings
 from tests.support.fleet import ServerEngine, robot, topics
 from tests.support.long import long

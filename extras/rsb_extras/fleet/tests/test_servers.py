@@ -7,41 +7,21 @@ from typing import TYPE_CHECKING
 
 import pytest
 from tests.console.scripted import NOW
-from tests.support.fleet import ServerEngine
 from tests.support.waiting import eventually
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.robot_summary import RobotState
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Event, Level, State
-from rsb_extras.fleet.server_source import RobotEngine, ServerFleet
+from rsb_extras.fleet.tests.servers_helpers import engine, fleet, robot2
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from tests.support.control import Machine
+    from tests.support.fleet import ServerEngine
 
+    from rsb_extras.fleet.server_source import RobotEngine, ServerFleet
 
-@pytest.fixture
-def engine(machine: Machine) -> ServerEngine:
-    return machine.have(ServerEngine("robot1", "robot2", "robot3"))
-
-
-@pytest.fixture
-def fleet(machine: Machine, engine: ServerEngine) -> Iterator[ServerFleet]:
-    source = ServerFleet("control", machine.folder / "control.sock")
-    source.start()
-    yield source
-    source.stop()
-
-
-@pytest.fixture
-def robot2(fleet: ServerFleet) -> Iterator[RobotEngine]:
-    """The engine as far as it concerns robot2."""
-    opened = fleet.open("robot2", read_only=False)
-    assert isinstance(opened, RobotEngine)
-    yield opened
-    opened.stop()
+__all__ = ["engine", "fleet", "robot2"]
 
 
 def test_one_robot_for_each_client(fleet: ServerFleet, engine: ServerEngine) -> None:

@@ -9,7 +9,7 @@ from tests.command.conftest import here, ran
 from tests.console.conftest import _parsed_once, _same_everywhere
 from tests.console.scripted import answers
 
-from rsb_extras.fleet.tests.test_servers import engine, fleet, robot2
+from rsb_extras.fleet.tests.servers_helpers import engine, fleet, robot2
 from rsb_extras.history.history_data import ReportHistory
 from rsb_extras.history.tests.scripted_answers import answer
 

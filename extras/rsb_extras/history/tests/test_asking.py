@@ -17,7 +17,7 @@ from rsb_extras.history.history_data import ReportHistory
 from rsb_extras.history.history_files import EventFile
 from rsb_extras.history.tests.scripted_answers import REMEMBERED
 from rsb_extras.history.tests.world import World
-from rsb_extras.operators.tests.test_fleet_over_zenoh import as_operator
+from rsb_extras.operators.tests.fleet_over_zenoh_helpers import as_operator
 from rsb_extras.operators.tests.zenoh_fleet import Fleet
 
 if TYPE_CHECKING:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from tests.config.test_files import EVIL, mode
+from tests.config.files_helpers import EVIL, mode
 
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Event, Level

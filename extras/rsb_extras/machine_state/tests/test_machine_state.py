@@ -13,10 +13,10 @@ import msgspec
 import pytest
 from tests.console.driving import NARROW, on_main, put, shown, text
 from tests.console.scripted import LINK
-from tests.link.test_foreign_proposals import rogue
+from tests.link.foreign_proposals_helpers import rogue
 from tests.support.bridge import happened
 from tests.support.waiting import eventually
-from tests.wire.test_document import documented_fields
+from tests.wire.document_helpers import documented_fields
 
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import State

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import pytest
+from tests.command.children_helpers import planted
 from tests.command.conftest import here, ran
-from tests.command.test_children import planted
 from tests.console.conftest import _parsed_once, _same_everywhere, _toasts_stay, folder
 from tests.engine.conftest import _answers_take_their_time, shared
 from tests.support.coroutines import pytest_pyfunc_call

@@ -14,10 +14,10 @@ from rsb_extras.pictures.blocks import RAMP
 from rsb_extras.pictures.drawing import VIEWS
 from rsb_extras.pictures.picture import Cells, Series, Wish
 from rsb_extras.pictures.picture_rows import picture_rows
+from rsb_extras.pictures.tests.hostile_helpers import INSTALLED, draw, kind
+from rsb_extras.pictures.tests.map_view_helpers import grid
+from rsb_extras.pictures.tests.pictures_on_screen_helpers import LOOKED_AT, LookedAtEngine
 from rsb_extras.pictures.tests.samples import task
-from rsb_extras.pictures.tests.test_hostile import INSTALLED, draw, kind
-from rsb_extras.pictures.tests.test_map_view import grid
-from rsb_extras.pictures.tests.test_pictures_on_screen import LOOKED_AT, LookedAtEngine
 
 if TYPE_CHECKING:
     from textual.pilot import Pilot

@@ -8,8 +8,8 @@ import sys
 from types import SimpleNamespace
 
 import pytest
-from tests.system.test_confined import ROOT, has_seccomp
-from tests.system.test_confined import confined as in_the_unit
+from tests.system.confined_helpers import ROOT, has_seccomp
+from tests.system.confined_helpers import confined as in_the_unit
 
 from rsb_bridge.model.finding import Grade
 from rsb_extras.pictures.confinement_check import confined

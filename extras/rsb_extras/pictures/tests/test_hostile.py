@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
-from typing import Any
-
-import msgspec
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -13,26 +9,10 @@ from rclpy.serialization import serialize_message
 from tests.support.filled import filled
 from tests.support.wording import has_text
 
-from rsb_bridge.ros.native.rosidl_descriptions import installed_description
-from rsb_extras.pictures.drawing import VIEWS
 from rsb_extras.pictures.picture import Picture, Wish, decode_picture, encode_picture
+from rsb_extras.pictures.tests.hostile_helpers import INSTALLED, draw, kind
 from rsb_extras.pictures.tests.samples import task
-from rsb_extras.pictures.worker import Artist, Task, Undrawable
-
-INSTALLED = sorted(name for name in VIEWS if "/" in name and installed_description(name) is not None)
-
-
-def kind(type_name: str) -> Any:
-    package, _, name = type_name.split("/")
-    return getattr(importlib.import_module(f"{package}.msg"), name)
-
-
-def draw(wanted: Task, *, damaged: bytes | None = None, topic: str = "/t") -> Picture:
-    sample = wanted.samples[0]
-    changed = msgspec.structs.replace(sample, topic=topic, **({} if damaged is None else {"payload": damaged}))
-    picture = Artist().do(msgspec.structs.replace(wanted, samples=(changed,)))
-    assert picture is not None
-    return picture
+from rsb_extras.pictures.worker import Undrawable
 
 
 def check(picture: Picture, wish: Wish) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tests.control.test_protocol import fed
+from tests.control.protocol_helpers import fed
 
 from rsb_bridge.control import protocol
 from rsb_extras.pictures.look_requests import EndLook, LookAtTopics

@@ -18,6 +18,7 @@ from rsb_extras.pictures.drawing import Canvas, Drawn, TakenMessage
 from rsb_extras.pictures.grids import GridProblem
 from rsb_extras.pictures.map_view import MapProblem, MapView
 from rsb_extras.pictures.picture import Picture, Wish
+from rsb_extras.pictures.tests.map_view_helpers import grid
 from rsb_extras.pictures.tests.samples import cells_of, task
 from rsb_extras.pictures.transforms import FrameTree, Transform
 from rsb_extras.pictures.worker import Artist
@@ -34,17 +35,6 @@ def picture(*messages: Any, wish: Wish = WISH) -> Picture:
         result = artist.do(msgspec.structs.replace(wanted, type_name=first.type_name))
     assert result is not None
     return result
-
-
-def grid(side: int = 100, resolution: float = 0.1) -> OccupancyGrid:
-    """Return a free square around the origin with one occupied row at its upper edge."""
-    message = OccupancyGrid()
-    message.header.frame_id = "map"
-    message.info.width = message.info.height = side
-    message.info.resolution = resolution
-    message.info.origin.position.x = message.info.origin.position.y = -side * resolution / 2
-    message.data = [0] * (side * (side - 1)) + [100] * side
-    return message
 
 
 def pose(x: float, y: float, yaw: float, kind: type = PoseStamped, frame: str = "map") -> Any:

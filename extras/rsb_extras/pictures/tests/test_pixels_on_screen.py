@@ -26,7 +26,7 @@ from rsb_extras.pictures.graphics import BANDS
 from rsb_extras.pictures.picture import Pixels
 from rsb_extras.pictures.tests import samples
 from rsb_extras.pictures.tests.looking_engine import LookingEngine
-from rsb_extras.pictures.tests.test_view_screen import comes, engine_of, looks, opened, viewed
+from rsb_extras.pictures.tests.view_screen_helpers import comes, engine_of, looks, opened, viewed
 from rsb_extras.pictures.view_screen import ViewScreen
 
 if TYPE_CHECKING:

@@ -2,7 +2,6 @@
 
 import asyncio
 import csv
-import functools
 import math
 import re
 import struct
@@ -20,10 +19,8 @@ import pytest
 from tests.console.driving import (
     NARROW,
     WIDE,
-    engine_as,
     form_of,
     notified,
-    on_main,
     put,
     selected_topic,
     send,
@@ -71,44 +68,23 @@ from rsb_extras.pictures.picture_rows import AXIS
 from rsb_extras.pictures.picture_tile import PictureTile, ViewText
 from rsb_extras.pictures.tests import picture_places
 from rsb_extras.pictures.tests.looking_engine import LookingEngine
+from rsb_extras.pictures.tests.view_screen_helpers import (
+    CHARACTERS,
+    SCAN,
+    comes,
+    engine_of,
+    looking,
+    looks,
+    on_list,
+    opened,
+    viewed,
+)
 from rsb_extras.pictures.tile import ON_ROBOT
 from rsb_extras.pictures.view_screen import ViewScreen
 
-SCAN = "/robot2/scan"
 IMAGE = Pixels(300, 200, Random(1).randbytes(3 * 300 * 200))
 """With so much detail that blocks have characters, and no spaces in colours alone."""
-CHARACTERS = Cells(("the picture",), bytes((1,) * 11), ("", "robot"))
 CURVES = Series(0.0, 0.5, (Curve("x", (1.0, 2.0), (1.0, 3.0), 3.0, 2.0),))
-
-
-def viewed(content: Any = CHARACTERS, *, age: float | None = 0.5, **about: Any) -> Viewed:
-    usual: dict[str, Any] = {"messages": 3, "type_name": "sensor_msgs/msg/LaserScan", "notes": ("360 points",)}
-    return Viewed(Picture(content, **(usual | about)), "robot1", age, 1234)
-
-
-def engine_of(app: ConsoleApp) -> LookingEngine:
-    return engine_as(app, LookingEngine)
-
-
-def looks(engine: LookingEngine) -> list[tuple[Any, ...]]:
-    """Return the questions for pictures: topics, wish and link each."""
-    return [command[1:] for command in engine.commands if command[0] == "look"]
-
-
-async def comes(pilot: Pilot[None], answer: Viewed | Exception | None = None) -> Wish:
-    """Answer the screen's question once it asks, and return the wish of its next question."""
-    assert isinstance(pilot.app, ConsoleApp)
-    engine = engine_of(pilot.app)
-    await until(pilot, lambda: not engine.viewing.done(), "a question for a picture")
-    asked = engine.viewing
-    if isinstance(answer, Exception):
-        asked.set_exception(answer)
-    else:
-        asked.set_result(answer)
-    await until(pilot, lambda: engine.viewing is not asked, "the next question")
-    wish = looks(engine)[-1][1]
-    assert isinstance(wish, Wish)
-    return wish
 
 
 async def written(pilot: Pilot[None], answer: Viewed | Exception) -> Wish:
@@ -126,20 +102,6 @@ async def written(pilot: Pilot[None], answer: Viewed | Exception) -> Wish:
         engine.viewing.set_result(answer)
     engine.viewing = follows
     return wish
-
-
-async def opened(pilot: Pilot[None]) -> None:
-    app = pilot.app
-    assert isinstance(app, ConsoleApp)
-    await shown(pilot, SCAN)
-    await until(pilot, lambda: selected_topic(app) == SCAN, "the topic under the cursor")
-    await pilot.press("v")
-    await until(pilot, lambda: looks(engine_of(app)), "a question for a picture")
-
-
-on_list = functools.partial(on_main, make_engine=LookingEngine)
-looking = functools.partial(on_list, landmark=SCAN, opening=opened)
-"""A test's steps run once the screen has asked for the first picture."""
 
 
 def screen_of(app: ConsoleApp) -> ViewScreen:

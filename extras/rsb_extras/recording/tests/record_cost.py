@@ -6,8 +6,8 @@ import time
 from random import Random
 from typing import TYPE_CHECKING
 
-from tests.route.test_loop_filter import FIRST, Graph, world_of
-from tests.route.test_unpacking import OnePublisher, opened
+from tests.route.loop_filter_helpers import FIRST, Graph, world_of
+from tests.route.unpacking_helpers import OnePublisher, opened
 from tests.support.offline import FakePeer
 from tests.support.virtual_time import VirtualClock, virtual_loop
 

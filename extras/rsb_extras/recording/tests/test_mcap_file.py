@@ -14,7 +14,7 @@ from mcap.stream_reader import StreamReader
 from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import ConnectionExtRosbag2, QosDurability, QosHistory, QosReliability
-from tests.engine.test_bytes import INSTALLED
+from tests.engine.bytes_helpers import INSTALLED
 from tests.support.filled import filled
 
 from rsb_bridge.cdr.description import (

@@ -20,7 +20,7 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.config.validation import validate
 from rsb_bridge.model.session import Session
 from rsb_console.notation.formats import byte_count
-from rsb_extras.pictures.tests.test_view_screen import comes, looking, viewed
+from rsb_extras.pictures.tests.view_screen_helpers import comes, looking, viewed
 from rsb_extras.recording import RecordingFeature, RecordLimits, record_limits
 from rsb_extras.recording.keep_last import LARGEST, KeepLast
 from rsb_extras.recording.keeping import KeepProblem

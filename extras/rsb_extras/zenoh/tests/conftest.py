@@ -6,10 +6,10 @@ from contextlib import closing
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.command.client_helpers import path
 from tests.command.conftest import here, ran
-from tests.command.test_client import path
 from tests.engine.conftest import _answers_take_their_time, consoles, long_lease
-from tests.link.test_strangers import arrived
+from tests.link.strangers_helpers import arrived
 from tests.network.conftest import _hosts_can_be_made
 from tests.transport.conftest import loop, pytest_pyfunc_call
 

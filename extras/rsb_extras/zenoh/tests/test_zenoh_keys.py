@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from msgspec.structs import replace
-from tests.channel.test_window import QUEUES_MUCH
+from tests.channel.window_helpers import QUEUES_MUCH
 from tests.config.mistakes import CLIENT, FILE, problems
 from tests.support.wording import says
 

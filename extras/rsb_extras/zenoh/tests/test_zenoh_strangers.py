@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.link.test_strangers import SAID, strangers_of
+from tests.link.strangers_helpers import SAID, strangers_of
 from tests.support.waiting import eventually
 
 from rsb_bridge.wire.framing import STRANGER_LIMIT

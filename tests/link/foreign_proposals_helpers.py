@@ -1,0 +1,24 @@
+"""Helpers of `test_foreign_proposals` and others."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from tests.support.inside import inside
+from tests.support.rogue import Rogue
+
+from rsb_bridge.config.keys import read_key
+
+if TYPE_CHECKING:
+    from tests.support.bridge import Bridge
+
+    from rsb_bridge.engine import Engine
+    from rsb_bridge.link.link import Link
+
+
+def rogue(bridge: Bridge) -> Rogue:
+    return Rogue(bridge.port, read_key(bridge.folder / bridge.key_file).secret)
+
+
+def link(engine: Engine) -> Link:
+    return inside(engine).role.links()[0]
