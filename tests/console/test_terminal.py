@@ -11,6 +11,7 @@ import stat
 import sys
 import termios
 import time
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -148,7 +149,8 @@ class FarSide:
         """The topic flows on: between two statuses from now, something has been delivered."""
         begin, deadline = time.time(), time.monotonic() + seconds
         delivered: list[int] = []
-        while not delivered or delivered[-1] <= delivered[0]:  # its talker may only just come up
+        # Its talker may only just come up, and a link that a busy machine loses meanwhile begins to count anew.
+        while all(after <= before for before, after in pairwise(delivered)):
             assert time.monotonic() < deadline, f"the other side delivers nothing more: {delivered}"
             time.sleep(0.1)
             statuses = [line["status"] for line in self.lines() if "status" in line and line["time"] > begin]
