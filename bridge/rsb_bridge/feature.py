@@ -77,7 +77,8 @@ class SessionKey(Generic[T]):
         default: without the key.
         live: whether a running bridge takes a new value (`rsb-console reload`); else it has to be started again.
         of_peer: whether it is about the other side of a link: then a server has it for each client, in `clients`.
-        own_topic: whether its value names a topic of the bridge itself, which patterns leave out.
+        own_topic: whether its value names a topic of the bridge itself.
+        shared_topic: whether nodes publish on that topic, too: patterns take it if one does, and leave out others.
         hidden_as: what logs call the value instead of showing it. Operators elsewhere do not see it at all. Or empty.
     """
 
@@ -87,6 +88,7 @@ class SessionKey(Generic[T]):
     live: bool = False
     of_peer: bool = False
     own_topic: bool = False
+    shared_topic: bool = False
     hidden_as: str = ""
 
     def of(self, holder: Any) -> T:

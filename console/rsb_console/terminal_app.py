@@ -99,6 +99,7 @@ class TerminalApp(OpenApp[ReturnType]):
             behind the last one.
         terminal_changed: published when the terminal is found to show other things than before.
         pictures: widgets whose content is written after all else.
+        signals: the reasons that signals gave to shut down, also to an app that had ended.
         writer: writes the screen to the terminal.
     """
 
@@ -131,6 +132,7 @@ class TerminalApp(OpenApp[ReturnType]):
             self._use_colours()
         self._without_control, self._to_ascii = ControlFilter(), AsciiFilter()
         self.shutdown_reason = ShutdownReason.QUIT
+        self.signals: set[ShutdownReason] = set()
         self.input_queue = InputQueue(self, dialogs)
         self.input_gate = InputGate(self)
         self.text_drawn: Signal[Sequence[tuple[int, int, int]]] = Signal(self, "text-drawn")
@@ -359,7 +361,11 @@ class TerminalApp(OpenApp[ReturnType]):
         bridge that goes on without the console.
         """
         for number, reason in _SIGNALS.items():
-            signal.signal(number, lambda *_, reason=reason: self.shut_down_soon(reason))
+            signal.signal(number, lambda *_, reason=reason: self._signalled(reason))
+
+    def _signalled(self, reason: ShutdownReason) -> None:
+        self.signals.add(reason)
+        self.shut_down_soon(reason)
 
     def shut_down_soon(self, reason: ShutdownReason) -> None:
         """Call `shut_down` from a signal handler or another thread; end the process if the app hangs."""
@@ -379,6 +385,7 @@ class TerminalApp(OpenApp[ReturnType]):
         """Note that the app has ended by itself, so the process is not killed."""
         if self._forced_end is not None:
             self._forced_end.cancel()
+            self._forced_end = None
 
     def terminal_gone(self) -> None:
         """Shut down because the terminal has hung up; called by the driver's thread."""

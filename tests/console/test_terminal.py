@@ -11,6 +11,7 @@ import stat
 import sys
 import termios
 import time
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -39,8 +40,26 @@ from pathlib import Path
 from rsb_console import app
 from rsb_console.command.console_command import run_console
 app.ConsoleApp.action_theme = lambda self: 1 / 0
-path = Path(sys.argv[1])
-sys.exit(run_console(path))
+path, *on_hangup = sys.argv[1:]
+sys.exit(run_console(Path(path), on_hangup=(on_hangup or ["stop"])[0]))
+"""
+
+SIGNALLED = """
+import os
+from rsb_console.terminal_app import TerminalApp
+has_ended = TerminalApp.has_ended
+TerminalApp.has_ended = lambda self: [has_ended(self), os.kill(os.getpid(), {number})]
+"""
+"""The process gets a signal whenever its console has ended."""
+WATCHED = """
+import threading
+from rsb_console.command import headless
+
+def bridge_on(*_, **__):
+    print(sum(isinstance(each, threading.Timer) for each in threading.enumerate()), "would end it")
+    return 7
+
+headless.bridge_on = bridge_on
 """
 
 NOISY = """
@@ -132,7 +151,8 @@ class FarSide:
         """The topic flows on: between two statuses from now, something has been delivered."""
         begin, deadline = time.time(), time.monotonic() + seconds
         delivered: list[int] = []
-        while not delivered or delivered[-1] <= delivered[0]:  # its talker may only just come up
+        # Its talker may only just come up, and a link that a busy machine loses meanwhile begins to count anew.
+        while all(after <= before for before, after in pairwise(delivered)):
             assert time.monotonic() < deadline, f"the other side delivers nothing more: {delivered}"
             time.sleep(0.1)
             statuses = [line["status"] for line in self.lines() if "status" in line and line["time"] > begin]
@@ -345,6 +365,33 @@ def test_crash_of_console_leaves_bridge_running(pair: Pair, tmp_path: Path) -> N
     (crash,) = (tmp_path / "state").rglob("crash.txt")
     assert "ZeroDivisionError" in crash.read_text()
     assert stat.S_IMODE(crash.stat().st_mode) == 0o600
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP], ids=["SIGTERM", "SIGHUP"])
+def test_signal_after_crash_and_before_bridge_goes_on_ends_it(
+    pair: Pair, tmp_path: Path, number: signal.Signals
+) -> None:
+    script = tmp_path / "crashing.py"
+    script.write_text(SIGNALLED.format(number=int(number)) + CRASHING)
+    with FarSide(pair, tmp_path / "far") as far:
+        command = (sys.executable, str(script), str(pair.client_path))
+        with Terminal(*command, environ={"XDG_STATE_HOME": str(tmp_path / "state")}) as terminal:
+            terminal.wait_for("LINKED")
+            terminal.type("t")
+            assert terminal.exit_code() == 1
+            assert b"goes on without it" not in terminal.output
+        assert_told(far)
+
+
+def test_hangup_after_crash_leaves_bridge_that_survives_it(pair: Pair, tmp_path: Path) -> None:
+    script = tmp_path / "crashing.py"
+    script.write_text(SIGNALLED.format(number=int(signal.SIGHUP)) + WATCHED + CRASHING)
+    command = (sys.executable, str(script), str(pair.client_path), "continue")
+    with Terminal(*command, environ={"XDG_STATE_HOME": str(tmp_path / "state")}) as terminal:
+        terminal.wait_for(" quit")
+        terminal.type("t")
+        terminal.wait_for("0 would end it")
+        assert terminal.exit_code() == 7
 
 
 def test_actions_in_own_console_are_of_its_user(pair: Pair, tmp_path: Path) -> None:

@@ -30,10 +30,14 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.messages import ControlMessageBase
 
 
+def keep(session: LinkSession, message: ControlMessageBase) -> None:
+    session.sends(message, encode(message))
+
+
 def sent(session: LinkSession, count: int) -> list[Settled]:
     messages = [Settled(number) for number in range(1, count + 1)]
     for message in messages:
-        session.sends(message)
+        keep(session, message)
     return messages
 
 
@@ -54,7 +58,7 @@ def test_what_the_peer_has_not_handled_is_sent_again() -> None:
     messages = sent(session, 5)
     session.acknowledge(2)
     assert again(session, 3) == tuple(messages[3:])
-    session.sends(more := Neighbours(bridges=("there",)))
+    keep(session, more := Neighbours(bridges=("there",)))
     assert again(session, 3) == (*messages[3:], more)
     assert again(session, 6) == ()
 
@@ -62,7 +66,7 @@ def test_what_the_peer_has_not_handled_is_sent_again() -> None:
 def test_what_belongs_to_a_connection_does_not_count() -> None:
     session = session_of()
     for message in (Ping(1, 2), Receipts(), Lease(1), Report((), ()), TopicList(1, bytes(9)), TypeText(1)):
-        session.sends(message)
+        keep(session, message)
         session.handles(type(message))
     session.handles(Neighbours)
     assert (again(session, 0), session.handled) == ((), 1)
@@ -102,7 +106,7 @@ def test_it_is_over_beyond_its_limit() -> None:
     session = session_of()
     sent(session, MOST_KEPT)
     assert not session.is_over
-    session.sends(Settled(1))
+    keep(session, Settled(1))
     assert session.is_over
     session.acknowledge(MOST_KEPT)
     assert not session.could_have_handled(MOST_KEPT)
@@ -113,13 +117,13 @@ def test_bytes_that_wait_are_limited() -> None:
     long = Neighbours(bridges=("x" * 250,) * 40)
     size = len(encode(long))
     for _ in range(MOST_BYTES // size):
-        session.sends(long)
+        keep(session, long)
     assert not session.is_over
     session.acknowledge(2)
-    session.sends(long)
-    session.sends(long)
+    keep(session, long)
+    keep(session, long)
     assert not session.is_over, "what was handled takes no room"
-    session.sends(long)
+    keep(session, long)
     assert session.is_over
 
 
@@ -127,7 +131,7 @@ def test_bytes_that_wait_are_limited() -> None:
 def test_peer_cannot_lack_proposal_it_accepted(accepted: bool) -> None:
     session = session_of()
     sent(session, 2)
-    session.sends(Propose(route=3, topic="/a", remote_topic="/a", from_client=True))
+    keep(session, Propose(route=3, topic="/a", remote_topic="/a", from_client=True))
     session.channels.is_accepted = lambda route_id: accepted  # type: ignore[method-assign]
     client = Hello("1", "robot1", "there", 0, session=bytes(8), handled=2)
     assert session.may_resume(client) is not accepted

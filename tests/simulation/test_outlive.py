@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from dataclasses import replace
 from typing import TYPE_CHECKING
-from unittest.mock import patch
+from unittest.mock import Mock, patch
 
 import msgspec
 import pytest
@@ -14,6 +14,7 @@ from tests.simulation.conditions import ACTIONS, CALLS, KEEPING, LIVELY, STILL, 
 from tests.simulation.episodes import connections_forgotten, data_connections_break, delayed, path_is_cut, tunnelled
 from tests.simulation.world import Violation, World
 from tests.support.long import long
+from tests.support.replaced import ENCODER
 
 from rsb_bridge.link.client_channels import ClientChannels
 from rsb_bridge.link.client_end import ClientEnd
@@ -151,6 +152,17 @@ def test_kept_topics_outlive_connections(
     for name, count in sent.items():
         assert count > 1000
         assert count - 1 <= heard[name] <= count  # DDS may not know the writer yet when it publishes its first
+
+
+@pytest.mark.bed(Topic("/chat", "transmit"), outlive=60.0)
+async def test_control_message_is_encoded_once(yard: Yard) -> None:
+    """It is sent, and kept for the next connection."""
+    link, message = yard.link(), Neighbours(bridges=("x",))
+    assert link.session is not None
+    encoder = Mock(wraps=ENCODER.value)
+    with ENCODER.during(encoder):
+        link.send(message)
+    encoder.encode.assert_called_once_with(message)
 
 
 @pytest.mark.bed(Topic("/chat", "transmit"), outlive=60.0)

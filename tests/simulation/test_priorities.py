@@ -15,6 +15,7 @@ from tests.simulation.world import World
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.verdict import Cause
+from rsb_bridge.wire.messages import Neighbours
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -28,6 +29,8 @@ _BEGIN, _SETTLED, _SECONDS = 20.0, 30.0, 30.0
 """s until the link gets slow, until its window, which is that of a fast link, has settled, and for which it is then
 looked at."""
 _BACK_WITHIN, _COUNTED = 15.0, 10.0
+_CONTROL = Neighbours(bridges=("robot", 120 * "x"))
+_CONTROL_EVERY = 5.0
 _FULL = {Cause.QUEUE_FULL, Cause.LATE}
 _BEST_EFFORT = Qos(reliability="best_effort")
 
@@ -101,6 +104,19 @@ class Slow:
             ]
             self.shown = self.snapshots()
 
+    async def live_with_control(self) -> None:
+        """Live, and send a small control message every 5 s."""
+        sending = asyncio.ensure_future(self._send_control())
+        await self.live()
+        sending.cancel()
+
+    async def _send_control(self) -> None:
+        while True:
+            await asyncio.sleep(_CONTROL_EVERY)
+            here, _ = self.world.link_ends(self.robot) or (None, None)
+            if here is not None:
+                here.send(_CONTROL)
+
     def snapshots(self) -> list[RouteSnapshot]:
         here, _ = self.world.link_ends(self.robot) or (None, None)
         assert here is not None
@@ -129,6 +145,18 @@ def test_the_higher_one_gets_more() -> None:
     assert low.cause in _FULL
     for shown in slow.shown:
         check_balance(shown)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3, 4])
+def test_control_messages_cost_the_high_one_nothing(seed: int) -> None:
+    """They shift the moments at which receipts come, also to those in which no route is queued for a moment.
+
+    Only the kernel's buffer held the topics back then, and writes had the size that the window of a fast link allows.
+    """
+    slow = Slow(seed, [Asked("high", 20.0, 1_000), Asked("normal", 10.0, 4_000), Asked("low", 30.0, 8_000)])
+    slow.world.play(life=slow.live_with_control())
+    assert slow.rates[0] > 0.95 * 20.0
+    assert slow.lost[0] <= 0
 
 
 def test_a_high_one_that_wants_it_all() -> None:

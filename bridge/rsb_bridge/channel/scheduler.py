@@ -95,6 +95,7 @@ class Carrier(ABC):
 
     def writable(self) -> None:
         """Give turns: it takes bytes again."""
+        self.scheduler.choose_sizes()
         self.scheduler.run()
 
 
@@ -321,13 +322,18 @@ class Scheduler:
             self.acknowledged_at = now
         window = self.window
         window.acknowledge(self.acknowledged, self.sent, now, self._book.way_back())
-        size, least = window.size, _LEAST_WRITE
-        if self._waiting:
-            size, least = min(size, int(window.rate * _BUSY_WINDOW)), LEAST_CHUNK
-        self.chunk = min(_MOST_CHUNK, max(LEAST_CHUNK, size // _CHUNKS_PER_WINDOW))
-        self._write = max(least, size // _WRITES_PER_WINDOW)
+        self.choose_sizes()
         self.run()
         return window.every
+
+    def choose_sizes(self) -> None:
+        """Choose how much goes at once: after each receipt, and whenever a stream that was congested takes bytes."""
+        size, least = self.window.size, _LEAST_WRITE
+        # Not only while a route is queued: all of them may have given all they had to a stream that is congested now.
+        if self.waits_since < math.inf:
+            size, least = min(size, int(self.window.rate * _BUSY_WINDOW)), LEAST_CHUNK
+        self.chunk = min(_MOST_CHUNK, max(LEAST_CHUNK, size // _CHUNKS_PER_WINDOW))
+        self._write = max(least, size // _WRITES_PER_WINDOW)
 
     def tick(self) -> None:
         """Close the window while the path is stalled, and open it if only a stream is. Called once a second."""

@@ -411,10 +411,13 @@ class BaseLink:
 
     def send(self, message: ControlMessageBase) -> None:
         """Send a control message; without a connection it waits if the link is suspended, and else nothing happens."""
+        self._send(message, encode(message))
+
+    def _send(self, message: ControlMessageBase, content: bytes) -> None:
         if self.session is not None:
-            self.session.sends(message)
+            self.session.sends(message, content)
         if self.present is not None:
-            self.present.control.send(message)
+            self.present.control.send_encoded(content)
             if self.session is not None and self.session.is_over:
                 self.present.control.stream.abort(NEVER_HANDLED)  # `lost` comes later
         elif self.session is not None and self.session.is_over:
@@ -422,9 +425,10 @@ class BaseLink:
 
     def send_urgent(self, message: UrgentMessage) -> None:
         """Send a control message, and over the UDP channels besides: there it does not wait for what a stream lost."""
-        self.send(message)
+        content = encode(message)
+        self._send(message, content)
         if self.present is not None:
-            self.present.send_urgent(encode(message))
+            self.present.send_urgent(content)
 
     def _on_ping(self, ping: Ping) -> None:
         if self.session is not None:

@@ -233,4 +233,6 @@ class NameWatch:
             origin_of = announcements.origin_of
         else:
             origin_of = partial(announcements.origin_of_server, service=name + LANES[kind][0].suffix)
-        return any((origin := origin_of(end)) is not None and not origin.via for end in found.ends)
+        # A bridge's own topic, such as its diagnostics, crosses as a node's does, but not for its own sake.
+        ends = (end for end in found.ends if end.node.lstrip("/") not in announcements.bridges)
+        return any((origin := origin_of(end)) is not None and not origin.via for end in ends)

@@ -11,7 +11,6 @@ from collections import deque
 from itertools import islice
 from typing import TYPE_CHECKING, NamedTuple
 
-from rsb_bridge.wire.codec import encode
 from rsb_bridge.wire.framing import CONTROL_LIMIT
 from rsb_bridge.wire.messages import OF_CONNECTION, Propose
 from rsb_bridge.wire.protocol_error import Broken, ProtocolError
@@ -110,12 +109,16 @@ class LinkSession:
 
     # --- control messages
 
-    def sends(self, message: ControlMessageBase) -> None:
-        """Keep a message, which is being sent or waits for a connection, until the peer has handled it."""
+    def sends(self, message: ControlMessageBase, content: bytes) -> None:
+        """Keep a message, which is being sent or waits for a connection, until the peer has handled it.
+
+        Args:
+            content: the message as it is encoded.
+        """
         if self.is_over or isinstance(message, OF_CONNECTION):
             return
-        self._waiting.append(UnhandledMessage(encode(message), message.route if isinstance(message, Propose) else 0))
-        self._bytes += len(self._waiting[-1].content)
+        self._waiting.append(UnhandledMessage(content, message.route if isinstance(message, Propose) else 0))
+        self._bytes += len(content)
         if len(self._waiting) > MOST_KEPT or self._bytes > MOST_BYTES:
             self.is_over = True
             self._waiting.clear()

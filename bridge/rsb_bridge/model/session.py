@@ -316,8 +316,9 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
 
     @property
     def own_topics(self) -> tuple[str | None, ...]:
-        """The topics of the bridge itself, or None for one that the session does without; patterns leave them out."""
-        return self.shutdown_topic, *(key.of(self) for key in session_keys().values() if key.own_topic)
+        """The topics of the bridge alone, or None for one that the session does without; patterns leave them out."""
+        own = (key for key in session_keys().values() if key.own_topic and not key.shared_topic)
+        return self.shutdown_topic, *(key.of(self) for key in own)
 
     @property
     def hosts(self) -> tuple[str, ...]:

@@ -71,20 +71,8 @@ class _Control(SealedStream):
     _multiplexed: bool
 
     def send(self, message: ControlMessageBase) -> bytes:
-        """Seal a control message.
-
-        Returns:
-            As `send_encoded`.
-
-        Raises:
-            ValueError: the message is longer than a control frame may be.
-            RuntimeError: the connection was never `Established`.
-        """
-        content = encode(message)
-        if len(content) > _LONGEST_CONTENT:
-            kind = type(message).__name__
-            raise ValueError(Misuse.CONTROL_MESSAGE_TOO_LONG(message=kind, length=len(content), limit=CONTROL_LIMIT))
-        return self.send_encoded(content)
+        """Seal a control message; see `send_encoded`."""
+        return self.send_encoded(encode(message))
 
     def send_encoded(self, content: bytes) -> bytes:
         """Seal a control message as it was encoded.
@@ -93,8 +81,11 @@ class _Control(SealedStream):
             The bytes to write; what `data_to_send` still held comes first.
 
         Raises:
+            ValueError: the message is longer than a control frame may be.
             RuntimeError: the connection was never `Established`.
         """
+        if len(content) > _LONGEST_CONTENT:
+            raise ValueError(Misuse.CONTROL_MESSAGE_TOO_LONG(length=len(content), limit=CONTROL_LIMIT))
         self._outbox += self._seal(content)
         return self.data_to_send()
 

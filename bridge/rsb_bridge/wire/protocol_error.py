@@ -51,7 +51,7 @@ class Misuse(Wording):
     """Requests of this side's own that the format has no room for."""
 
     NAME_TOO_LONG = "the name has {length} bytes in UTF-8, and at most {limit} are allowed: choose a shorter one"
-    CONTROL_MESSAGE_TOO_LONG = "a {message} of {length} bytes; a control frame has {limit}"
+    CONTROL_MESSAGE_TOO_LONG = "a control message of {length} bytes; a control frame has {limit}"
     TOO_MANY_DATAGRAMS = "a message of {length} bytes takes more than {limit} datagrams: use tcp"
     NOT_ESTABLISHED = "nothing can be sent before the connection is established"
     KEY_LENGTH = "{suite} takes a key of {expected} bytes"

@@ -102,15 +102,21 @@ def _serve(
 def _finish(app: ConsoleApp, on_hangup: str) -> int:
     """Stop the engine, or bridge on without the app. Return the exit code."""
     crashed = app.shutdown_reason is ShutdownReason.CRASH
-    goes_on = crashed or (app.shutdown_reason is ShutdownReason.HANGUP and on_hangup == "continue")
+    survives_hangup = on_hangup == "continue"
+    goes_on = crashed or (app.shutdown_reason is ShutdownReason.HANGUP and survives_hangup)
     # This reports the crash, before `bridge_on` prints hours of log.
     code = exit_code(app)
     if app.engine is not None and not app.attached_to and goes_on:
-        from rsb_console.command.headless import bridge_on  # noqa: PLC0415 -- seldom needed
+        from rsb_console.command.headless import Signals, bridge_on  # noqa: PLC0415 -- seldom needed
 
-        # Nobody presses keys any more, so that nothing may stay armed for this console.
-        app.engine.do(ReleaseArmed())
-        code = bridge_on(app.engine, crashed=crashed)
+        ends = {ShutdownReason.TERMINATED} if survives_hangup else {ShutdownReason.TERMINATED, ShutdownReason.HANGUP}
+        with Signals(ignore_hangup=True, has_terminal=True) as signals:
+            # One that came before was the app's, which had ended.
+            if app.signals.isdisjoint(ends):
+                app.has_ended()
+                # Nobody presses keys any more, so that nothing may stay armed for this console.
+                app.engine.do(ReleaseArmed())
+                code = bridge_on(app.engine, signals, crashed=crashed)
     app.stop()
     return code
 

@@ -98,12 +98,11 @@ def run_headless(
         )
 
 
-def bridge_on(engine: EngineApi, *, crashed: bool) -> int:
-    """Run the engine of a console that has ended or crashed, as `bridge_until_told`; a hangup does not stop it."""
+def bridge_on(engine: EngineApi, signals: Signals, *, crashed: bool) -> int:
+    """Run the engine of a console that has ended or crashed, as `bridge_until_told`."""
     if crashed:
         print_error(HeadlessText.CONSOLE_CRASHED())
-    with Signals(ignore_hangup=True, has_terminal=True) as signals:
-        code = bridge_until_told(engine, signals)
+    code = bridge_until_told(engine, signals)
     return FAILURE if crashed else code
 
 

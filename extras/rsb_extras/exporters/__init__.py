@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from rsb_bridge.feature_api import Bridge, EnginePart
 
 DIAGNOSTICS_TOPIC: SessionKey[str | None] = SessionKey(
-    "diagnostics_topic", str | None, "/diagnostics", live=True, own_topic=True
+    "diagnostics_topic", str | None, "/diagnostics", live=True, own_topic=True, shared_topic=True
 )
 """The topic of the state of links and routes, as ``diagnostic_msgs/DiagnosticArray``; or None."""
 DRIVER_TOPIC: SessionKey[str | None] = SessionKey("driver_topic", str | None, None, live=True, own_topic=True)

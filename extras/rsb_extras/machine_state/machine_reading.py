@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
+from functools import partial
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.feature_api import sanitize_text
+from rsb_bridge.tasks import in_thread
 from rsb_extras.machine_state.machine_figures import MEGABYTE, PATH_LENGTH, MachineState
 
 if TYPE_CHECKING:
@@ -52,23 +56,23 @@ class MachineWatch:
         self.newest: MachineState | None = None
         self.number = 0
         self._context = context
-        self._at = float("-inf")
-        self._reads = False
+        self._at = -inf
+        self._reading: asyncio.Task[None] | None = None
         self._processors: _Processors | None = None
 
     def look(self) -> None:
         """Begin a reading if the last one is 5 s old."""
         now = self._context.now()
-        if self._reads or now - self._at < EVERY:
+        if (self._reading is not None and not self._reading.done()) or now - self._at < EVERY:
             return
         before = self._processors if now - self._at < _COUNTS_FOR else None
-        self._at, self._reads = now, True
-        self._context.loop.run_in_executor(None, read_machine, before).add_done_callback(self._done)
+        self._at = now
+        self._reading = self._context.loop.create_task(self._read(before))
 
-    def _done(self, reading: asyncio.Future[tuple[MachineState, _Processors]]) -> None:
-        self._reads = False
-        if not reading.cancelled() and reading.exception() is None:  # without /proc there are no figures
-            self.newest, self._processors = reading.result()
+    async def _read(self, before: _Processors | None) -> None:
+        with contextlib.suppress(OSError, ValueError, LookupError):  # without /proc there are no figures
+            # For as long as it takes: a disk that hangs keeps one thread, and not another one with each reading.
+            self.newest, self._processors = await in_thread("machine", partial(read_machine, before), inf)
             self.number += 1
 
 

@@ -93,12 +93,21 @@ def test_on_another_topic_and_on_none(bridge: Bridge, pc: Domain, tmp_path: Path
     eventually(lambda: not health.matched)
 
 
-def test_patterns_leave_it_out(bridge: Bridge, robot: Domain) -> None:
-    _, client = bridge.both(Topic("/*", "transmit"))
-    robot.publisher("/diagnostics")
+def test_pattern_takes_it_once_a_node_publishes_there(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    there = pc.listener("/diagnostics", DiagnosticArray)
+    server, client = bridge.both(Topic("/**", "transmit"))
     robot.publisher("/scan")
     eventually(lambda: find(client, "/scan"))
     assert find(client, "/diagnostics") is None
+    driver = robot.publisher("/diagnostics", DiagnosticArray)
+    eventually(lambda: find(server, "/diagnostics"))
+
+    def hears_driver() -> bool:
+        driver.publish(DiagnosticArray(status=[DiagnosticStatus(name="motor: warm")]))
+        arrays = (deserialize_message(payload, DiagnosticArray) for payload in there.payloads)
+        return any(status.name == "motor: warm" for array in arrays for status in array.status)
+
+    eventually(hears_driver)
 
 
 def test_a_type_that_is_missing_ends_nothing_else(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:

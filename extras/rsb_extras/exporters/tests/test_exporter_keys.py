@@ -111,9 +111,9 @@ def test_attached_console_gets_these_keys_in_their_types() -> None:
         with_types(replace(SESSION, metrics=7))
 
 
-def test_patterns_leave_out_the_topics_of_both_keys() -> None:
-    assert SESSION.own_topics == ("/shutdown", "/diagnostics", None)
-    assert replace(SESSION, diagnostics_topic=None, driver_topic="/held").own_topics == ("/shutdown", None, "/held")
+def test_patterns_leave_out_the_topic_of_drivers() -> None:
+    assert SESSION.own_topics == ("/shutdown", None)
+    assert replace(SESSION, driver_topic="/held").own_topics == ("/shutdown", "/held")
 
 
 @pytest.mark.parametrize("after", [{}, {"metrics": "[::1]:9464"}, {"driver_topic": "/rsb/driver", "on_fault": "./a"}])

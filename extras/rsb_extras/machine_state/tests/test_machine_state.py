@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
+import threading
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import pytest
@@ -23,10 +26,11 @@ from rsb_bridge.model.snapshot import State
 from rsb_bridge.wire.codec import encode
 from rsb_bridge.wire.messages import Ping
 from rsb_extras import machine_state
+from rsb_extras.machine_state import machine_reading
 from rsb_extras.machine_state.link_machine import MachineCode
 from rsb_extras.machine_state.machine_figures import MACHINE, MachineCause, MachineFault, MachineJudge, MachineState
 from rsb_extras.machine_state.machine_figures import shown as as_shown
-from rsb_extras.machine_state.machine_reading import read_machine
+from rsb_extras.machine_state.machine_reading import EVERY, MachineWatch, read_machine
 
 if TYPE_CHECKING:
     from tests.support.bridge import Bridge
@@ -95,6 +99,24 @@ def test_this_machine_is_read() -> None:
     assert state.memory_mb > 100
     assert again.cpu is not None
     assert len(encode(again)) < 200
+
+
+def test_a_disk_that_hangs_keeps_one_thread_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It must hold up neither the engine's end nor the pool that loads types."""
+    answers, clock = threading.Event(), [0.0]
+    monkeypatch.setattr(machine_reading, "read_machine", lambda _: answers.wait())
+
+    async def look_for_minutes() -> None:
+        context: Any = SimpleNamespace(now=lambda: clock[0], loop=asyncio.get_running_loop())
+        watch = MachineWatch(context)
+        for _ in range(20):
+            watch.look()
+            await asyncio.sleep(0)
+            clock[0] += EVERY
+
+    asyncio.run(look_for_minutes())
+    assert [each.name for each in threading.enumerate()].count("machine") == 1
+    answers.set()
 
 
 # -- what is wrong

@@ -335,22 +335,24 @@ async def test_proportions_hold_while_line_is_slow(
     if covered:
         await app.push_screen(Box(Region(0, 0, *app.size)))
     densities = []
-    for bright in range(200, 230, 10):
+    # A busy machine may draw a picture late: then the next question still asks for as many pixels.
+    for bright in range(200, 203 if covered else 256):
         densities.append((wish.across, wish.down))
         before, wish = wish, await comes(pilot, viewed(camera(wish, bright)))
-        if covered:
+        if covered:  # then nothing is sent
             await until(pilot, lambda: len(edges(app)) > 1, "characters")
             wide, high = edges(app)[0][1], len(edges(app))
         else:
-            await until(pilot, written.shown, "the image")
-            wide = {width for _, _, width, _ in written.shown().values()}.pop()
-            high = sum(height for *_, height in written.shown().values())
+            await until(pilot, lambda: written.shown() or len(edges(app)) > 1, "the image")
+            if not (places := written.shown().values()):
+                break
+            wide = {width for _, _, width, _ in places}.pop()
+            high = sum(height for *_, height in places)
         assert wide * cell[0] / (high * cell[1]) == pytest.approx(4 / 3, rel=0.05), (before, wish)
+    else:
+        assert covered, "never in characters"
     assert densities[0] == (7, 15)
-    if not covered:  # then nothing is sent
-        assert densities[-1] == (2, 4)
-        await comes(pilot, viewed(camera(wish, 230)))
-        await until(pilot, lambda: len(edges(app)) > 1, "characters")
+    assert (min(densities) < (7, 15)) is not covered
 
 
 def camera(wish: Wish, bright: int) -> Pixels:
