@@ -31,7 +31,7 @@ BEYOND = {
     "fleet": 71,
     "history": 14,
     "imports": 41,
-    "machine_state": 1,
+    "machine_state": 2,
     "operators": 24,
     "own_commands": 7,
     "pictures": 41,
