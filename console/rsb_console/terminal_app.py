@@ -53,6 +53,7 @@ from rsb_console.widgets.lines import LOOK_CLASSES
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
+    from types import FrameType
 
     from rich.console import RenderableType
     from textual.filter import LineFilter
@@ -360,12 +361,14 @@ class TerminalApp(OpenApp[ReturnType]):
         These handlers outlive the app's event loop, unlike asyncio's: a second SIGHUP is usual, and must not kill a
         bridge that goes on without the console.
         """
-        for number, reason in _SIGNALS.items():
-            signal.signal(number, lambda *_, reason=reason: self._signalled(reason))
 
-    def _signalled(self, reason: ShutdownReason) -> None:
-        self.signals.add(reason)
-        self.shut_down_soon(reason)
+        def signalled(number: int, _: FrameType | None) -> None:
+            reason = _SIGNALS[signal.Signals(number)]
+            self.signals.add(reason)
+            self.shut_down_soon(reason)
+
+        for number in _SIGNALS:
+            signal.signal(number, signalled)
 
     def shut_down_soon(self, reason: ShutdownReason) -> None:
         """Call `shut_down` from a signal handler or another thread; end the process if the app hangs."""

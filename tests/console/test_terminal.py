@@ -56,7 +56,8 @@ import threading
 from rsb_console.command import headless
 
 def bridge_on(*_, **__):
-    print(sum(isinstance(each, threading.Timer) for each in threading.enumerate()), "would end it")
+    timers = [each for each in threading.enumerate() if isinstance(each, threading.Timer)]
+    print(sum(not each.finished.is_set() for each in timers), "would end it")
     return 7
 
 headless.bridge_on = bridge_on
@@ -388,7 +389,7 @@ def test_hangup_after_crash_leaves_bridge_that_survives_it(pair: Pair, tmp_path:
     script.write_text(SIGNALLED.format(number=int(signal.SIGHUP)) + WATCHED + CRASHING)
     command = (sys.executable, str(script), str(pair.client_path), "continue")
     with Terminal(*command, environ={"XDG_STATE_HOME": str(tmp_path / "state")}) as terminal:
-        terminal.wait_for(" quit")
+        terminal.wait_for("/console_")
         terminal.type("t")
         terminal.wait_for("0 would end it")
         assert terminal.exit_code() == 7
