@@ -26,10 +26,11 @@ from rsb_console.actions.all_actions import ACTIONS
 from rsb_console.notation import formats
 from rsb_console.terminal.input_queue import DIALOG
 from rsb_extras.pictures.blocks import image_rows, wished_pixels
+from rsb_extras.pictures.cell_image import Marked, fine_for, image_of, is_drawn, styles_in
 from rsb_extras.pictures.drawing import VIEWS, is_map
 from rsb_extras.pictures.field_chooser import FieldChooser
 from rsb_extras.pictures.goal_on_map import POSE, Goal
-from rsb_extras.pictures.graphics import protocol_of
+from rsb_extras.pictures.graphics import USUAL_CELL, protocol_of
 from rsb_extras.pictures.look_requests import EndLook, LookAtTopics
 from rsb_extras.pictures.picture import (
     MOST_RATE,
@@ -130,8 +131,10 @@ class PictureTile(Tile):
         self._viewer = secrets.token_hex(8)
         self._wish = msgspec.structs.replace(subject.wish, webp=reads_webp())
         self._viewed: Viewed | None = None
+        self._image: Pixels | None = None
+        """The image in sight."""
         self._blocks: list[Row] = []
-        """The image in sight in characters."""
+        """The same in characters."""
         self._came = time.monotonic()
         self._sizes: deque[tuple[float, int]] = deque()
         """When pictures came lately, and their bytes."""
@@ -190,9 +193,24 @@ class PictureTile(Tile):
             across, down = (round(each / 2**self._strain) for each in facts.cell)
         else:
             across, down = wished_pixels(self._image_colours, sextants=facts.draws_sextants)
-        self._take(sized(self._wish, size.width, size.height, across, down, facts.shape))
-        if isinstance(self.content, Pixels):
-            self.cover_changed()  # the picture in sight, in the new size
+        wish = sized(self._wish, size.width, size.height, across, down, facts.shape)
+        self._take(msgspec.structs.replace(wish, fine=fine_for(self._cell) if self._shows_pixels else 1))
+        self._redraw()  # the picture in sight, in the new size
+
+    @property
+    def _cell(self) -> tuple[float, float]:
+        """Pixels of a character, as far as the line takes them."""
+        across, down = self.terminal.facts.cell or USUAL_CELL
+        return across / 2**self._strain, down / 2**self._strain
+
+    def _is_image(self, content: object) -> bool:
+        """Whether a picture is shown as an image, in pixels or in blocks."""
+        return isinstance(content, Pixels) or (is_drawn(content) and (self._shows_pixels or isinstance(content, Cells)))
+
+    def _redraw(self) -> None:
+        """Draw the picture in sight once more, as the operator or the terminal has changed something."""
+        if self._is_image(self.content):
+            self.cover_changed()
         else:
             self._draw()
 
@@ -298,16 +316,36 @@ class PictureTile(Tile):
         # One after the other: of two threads, the one with the former picture or size may be the last.
         async with self._showing:
             content, self._unreadable = self.content, ""
-            if isinstance(content, Pixels):
-                blocks = partial(self._in_blocks, content, self._wish)
+            if self._is_image(content):
+                self._image = content if isinstance(content, Pixels) else await self._drawn_image()
+                blocks = partial(self._in_blocks, self._image, self._wish)
                 try:
                     if self._shows_pixels:
-                        await self.show_image(content, self._wish, blocks, few_colours=self._strain > 0)
+                        await self.show_image(self._image, self._wish, blocks, few_colours=self._strain > 0)
                     else:
                         self._blocks = await asyncio.to_thread(blocks)
                 except UnreadableError as error:
                     self._unreadable, self._blocks = str(error), []
             self._draw()
+
+    async def _drawn_image(self) -> Pixels:
+        """Return the map or the plot in sight as an image, with the goal or the cursor on it."""
+        content, wish = self.content, self._wish
+        assert isinstance(content, Cells | Series)
+        look = self.look(styles_in(content), self._cell)
+        place, goal = self._placed_goal(), self._goal
+        mark = None if place is None or goal is None else Marked(*place, goal.arrow)
+        size = wish.width, wish.height
+        return await asyncio.to_thread(image_of, content, size, wish.shape, look, cursor=self._cursor, mark=mark)
+
+    def _placed_goal(self) -> tuple[int, int] | None:
+        """Return column and row of the goal, and drop it if the map has another frame by now."""
+        if (scale := self._scale) is None or self._goal is None:
+            return None
+        if self._goal.frame != scale.frame:  # its coordinates mean another place
+            self._goal = None
+            return None
+        return self._goal.cell(scale)
 
     def _in_blocks(self, content: Pixels, wish: Wish) -> list[Row]:
         return image_rows(content, wish, colours=self._image_colours, sextants=self.terminal.facts.draws_sextants)
@@ -321,18 +359,16 @@ class PictureTile(Tile):
             return
         content = self.content
         rows: list[Row] = []
-        if isinstance(content, Pixels):
+        is_image = self._is_image(content)
+        if is_image:
             rows = self._blocks
-        elif content is not None:
+        elif content is not None and not isinstance(content, Pixels):
             rows = picture_rows(
                 content, self._wish.width, self._wish.height, colours=self._colours, cursor=self._cursor
             )
-            if (scale := self._scale) is not None and self._goal is not None and self._goal.frame != scale.frame:
-                self._goal = None  # its coordinates mean another place
-            if scale is not None and self._goal is not None:
-                mark = Part(self._goal.arrow, "goal")
-                rows = with_mark(rows, *self._goal.cell(scale), mark, self._wish.width)
-        if not (isinstance(content, Pixels) and self._shows_pixels) or self._unreadable:
+            if (place := self._placed_goal()) is not None and self._goal is not None:
+                rows = with_mark(rows, *place, Part(self._goal.arrow, "goal"), self._wish.width)
+        if not (is_image and self._shows_pixels) or self._unreadable:
             self.show(rows or self._reason())
         self._entitle()
 
@@ -437,12 +473,12 @@ class PictureTile(Tile):
         if self._goal is not None and (scale := self._scale) is not None:
             turned, moved = self._goal.turned(-columns * _TURN), self._goal.moved(scale, columns, rows)
             self._goal = turned if self._turns_goal else moved
-            self._draw()
+            self._redraw()
         elif isinstance(content, Series):
             last = max(0, self._wish.width - AXIS - 1)
             at = last if self._cursor is None else self._cursor + columns
             self._cursor = max(0, min(last, at))
-            self._draw()
+            self._redraw()
         else:
             self._change(x=self._wish.x + right, y=self._wish.y + up)
 
@@ -479,14 +515,18 @@ class PictureTile(Tile):
 
     @property
     def _scale(self) -> Scale | None:
+        """The place of the map in the world, by characters."""
         content = self.content
-        return content.scale if isinstance(content, Cells) else None
+        if not isinstance(content, Cells) or content.scale is None or content.fine == 1:
+            return content.scale if isinstance(content, Cells) else None
+        scale, fine = content.scale, content.fine
+        return msgspec.structs.replace(scale, column=scale.column * fine, row=scale.row * fine)
 
     def drop_goal(self) -> bool:
         """Drop the goal, and return whether there was one."""
         had, self._goal = self._goal is not None, None
         if had:
-            self._draw()
+            self._redraw()
         return had
 
     def action_goal(self) -> None:
@@ -497,13 +537,13 @@ class PictureTile(Tile):
             self.notify(ViewText.NO_MAP(), severity="warning", markup=False)
             return
         self._goal, self._turns_goal = Goal.at(scale, self._wish.width / 2, self._wish.height / 2), False
-        self._draw()
+        self._redraw()
 
     def on_picture_pane_clicked(self, event: Tile.Clicked) -> None:
         """Put the goal where the operator clicks."""
         if self._goal is not None and not self._turns_goal and (scale := self._scale) is not None:
             self._goal = Goal.at(scale, event.column + 0.5, event.row + 0.5)
-            self._draw()
+            self._redraw()
 
     def action_place(self) -> None:
         """Go on to the goal's heading, and then to the form that publishes it."""
@@ -511,10 +551,10 @@ class PictureTile(Tile):
             return
         if not self._turns_goal:
             self._turns_goal = True
-            self._draw()
+            self._redraw()
             return
         fields, self._goal = self._goal.fields(), None
-        self._draw()
+        self._redraw()
         self._publish(fields)
 
     @work(group=DIALOG)
@@ -541,7 +581,9 @@ class PictureTile(Tile):
             self.notify(ViewText.NO_PICTURE(), markup=False)
             return
         drawn = drawing = None
-        if isinstance(content, Pixels):
+        if isinstance(content, Cells) and content.fine > 1 and self._image is not None:
+            content = self._image
+        elif isinstance(content, Pixels):
             drawn, content = content, (await self._image_in_full() if self._goes_on.is_set() else None) or content
         try:
             if drawn is not None:
