@@ -240,7 +240,7 @@ def test_bright_band_beside_obstacle_is_named(cost: int, named: bool) -> None:
     message = grid()
     message.data = [0] * 5000 + [cost] * 1000 + [100] * 100 + [0] * 3900
     wish = Wish(width=100, height=20)
-    assert ("█ inscribed" in cells_of(picture(message, wish=wish)).rows[-1]) == named
+    assert ("■ inscribed" in cells_of(picture(message, wish=wish)).rows[-1]) == named
 
 
 def test_costs_leave_walls_of_map_in_sight() -> None:
