@@ -14,7 +14,8 @@ from rsb_extras.pictures.drawing import Canvas
 from rsb_extras.pictures.paper import Paper
 from rsb_extras.pictures.picture import MOST_COLUMNS, MOST_ROWS, Cells, Curve, Pixels, Series, Wish
 from rsb_extras.pictures.picture_rows import AXIS
-from rsb_extras.pictures.tests.test_map_view import cells_of, grid, path, picture, pose
+from rsb_extras.pictures.tests.samples import cells_of
+from rsb_extras.pictures.tests.test_map_view import grid, path, picture, pose
 
 PAPER = Paper.of("#101010", "#d0d0d0")
 INKS = {"path": (0, 0, 255), "robot": (0, 255, 0), "goal": (255, 255, 0), "curve": (255, 0, 255)}
