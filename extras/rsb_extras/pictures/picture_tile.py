@@ -332,11 +332,11 @@ class PictureTile(Tile):
         """Return the map or the plot in sight as an image, with the goal or the cursor on it."""
         content, wish = self.content, self._wish
         assert isinstance(content, Cells | Series)
-        look = self.look(styles_in(content), self._cell)
+        inks = self.inks(styles_in(content), self._cell)
         place, goal = self._placed_goal(), self._goal
         mark = None if place is None or goal is None else Marked(*place, goal.arrow)
         size = wish.width, wish.height
-        return await asyncio.to_thread(image_of, content, size, wish.shape, look, cursor=self._cursor, mark=mark)
+        return await asyncio.to_thread(image_of, content, size, wish.shape, inks, cursor=self._cursor, mark=mark)
 
     def _placed_goal(self) -> tuple[int, int] | None:
         """Return column and row of the goal, and drop it if the map has another frame by now."""

@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip("PIL")
 
-from rsb_extras.pictures.cell_image import Look, Marked, fine_for, image_of, is_drawn, styles_in
+from rsb_extras.pictures.cell_image import Inks, Marked, fine_for, image_of, is_drawn, styles_in
 from rsb_extras.pictures.drawing import Canvas
 from rsb_extras.pictures.paper import Paper
 from rsb_extras.pictures.picture import MOST_COLUMNS, MOST_ROWS, Cells, Curve, Pixels, Series, Wish
@@ -25,8 +25,8 @@ CELL = 10.0, 20.0
 def drawn(
     content: Cells | Series, size: tuple[int, int] = (80, 24), *, cursor: int | None = None, mark: Marked | None = None
 ) -> Pixels:
-    look = Look(PAPER, {style: INKS.get(style, (200, 200, 200)) for style in styles_in(content)}, CELL)
-    return image_of(content, size, 2.0, look, cursor=cursor, mark=mark)
+    inks = Inks(PAPER, {style: INKS.get(style, (200, 200, 200)) for style in styles_in(content)}, CELL)
+    return image_of(content, size, 2.0, inks, cursor=cursor, mark=mark)
 
 
 def colours(image: Pixels) -> dict[tuple[int, ...], set[tuple[float, float]]]:
