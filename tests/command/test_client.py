@@ -28,7 +28,7 @@ from rsb_bridge.model.snapshot import Event, Level, State
 from rsb_console.command.client_command import ClientCommandProblem, ClientEffect
 from rsb_console.command.formatting import clock
 from rsb_console.command.target import Asking
-from rsb_console.session.client_files import ClientFileProblem, RobotFileText
+from rsb_console.session.client_files import ClientFileProblem, RobotFileText, robot_file
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -413,3 +413,21 @@ def test_a_server_begins_without_clients(tmp_path: Path, run: Run) -> None:
     assert run("remove", str(path), "robot1").code == 0
     assert load(path).clients == ()
     assert path.read_text() == empty
+
+
+def test_robots_file_takes_topics_and_domain_without_its_comments() -> None:
+    session = Session(name="pc", role="server", server_ip="10.0.0.1", server_port=4000, use_encryption=False)
+    text = robot_file(session, Client("robot1"))
+    assert "[]" not in text
+    as_written, begun = (parse(each, Path("robot1.yaml")) for each in (text, without_comments(text)))
+    assert (as_written.topics, as_written.domain_id) == ((), None)
+    assert (begun.topics, begun.domain_id) == ((Topic("/scan", "transmit"),), 0)
+
+
+def without_comments(text: str) -> str:
+    """Return a file whose commented entries count, without its first line, which is about the file."""
+    lines = text.splitlines(keepends=True)[1:]
+    return "".join(
+        line.removeprefix("# ") if line.startswith(("# domain_id", "# topics")) else line.replace("#   -", "  -", 1)
+        for line in lines
+    )

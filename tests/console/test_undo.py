@@ -239,7 +239,7 @@ async def test_change_by_others_since_is_left_alone(
 ) -> None:
     await paused_and_resumed(engine, pilot)
     engine.put("/scan", SCAN)
-    await refused(app, pilot, "anna on pts/3")
+    await refused(app, pilot, "meanwhile by anna on pts/3")
     assert engine.undone == []
     await pilot.press("u")
     await shown(pilot, OperationText.NOTHING_MORE_TO_UNDO)

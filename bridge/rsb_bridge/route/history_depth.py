@@ -9,8 +9,8 @@ may be history, which shows its depth within few messages. No live message waits
 that its publisher may keep, and the peer drops what is too much as soon as it gets the depth. Only a history, or the
 first 0.3 s of a burst, waits for a moment, because with a known depth it costs the peer one publisher.
 
-A killed publisher's history is withdrawn as soon as a newcomer has shown that it is silent. Who joined on the far side
-before may have heard it last, so the newest message of those that are left is sent again.
+A killed publisher's history is withdrawn once a newcomer has shown that it is silent. A late joiner on the far side may
+have heard it last, so the newest message of the other publishers is sent again.
 """
 
 from __future__ import annotations
@@ -289,7 +289,7 @@ class Histories:
     # --- killed publishers
 
     def _doubt_others(self, newcomer: RawMessage) -> None:
-        """Ask whether the other publishers are left, as a newcomer may stand in a killed one's place."""
+        """Ask whether the other publishers answer: a newcomer may replace a killed one."""
         if not newcomer.number or self._lifespan:  # the peer's publishers forget what has expired, too
             return
         if others := self._publishers.keys() - {newcomer.gid}:
@@ -304,9 +304,9 @@ class Histories:
         self._resends = self._loop.call_later(_WITHDRAWN_AFTER, self._send_newest_again, self._loop.time())
 
     def _send_newest_again(self, withdrawn_at: float) -> None:
-        """Send the history again that has the newest message, unless a newer one has come meanwhile.
+        """Send the history of the newest message again, unless a newer message has come since the withdrawal.
 
-        With another id, as the peer leaves out what it has had.
+        It gets another id, because the peer leaves out messages that it knows.
         """
         self._resends = None
         gid, newest = max(self._publishers.items(), key=lambda item: item[1].source, default=(b"", None))

@@ -1,7 +1,7 @@
-"""Publishers of a latched topic that a late joiner beside them would not hear, because they were killed.
+"""Publishers of a latched topic that no new subscription hears, because they were killed.
 
-DDS lists a killed publisher until its lease ends (Fast DDS: 20 s), but no new subscription gets its history. So once a
-newcomer publishes, such as a node started in a killed one's place, a further subscription shows which others are left.
+DDS lists a killed publisher until its lease ends (Fast DDS: 20 s), but sends its history to no new subscription. So
+when a new publisher comes, such as that of a restarted node, a further subscription shows which of the others answer.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ seconds. A publisher that answers later is heard again on the far side."""
 
 
 class SilentPublishers:
-    """Asks who would be heard by a late joiner. It belongs to the I/O loop.
+    """Asks which publishers a late joiner would hear. It belongs to the I/O loop.
 
     Args:
         subscribe: subscribes once more, with a receiver of its messages; may raise RosError.
@@ -53,7 +53,7 @@ class SilentPublishers:
         self._timer: asyncio.TimerHandle | None = None
 
     def ask(self, newcomer: bytes, others: Collection[bytes]) -> None:
-        """Ask whether these others are left; they are judged once the newcomer has answered."""
+        """Ask the other publishers; they are judged once the newcomer has answered."""
         self.close()
         self._newcomer, self._asked = newcomer, {*others} - self.silent
         self._timer = self._loop.call_later(_ASKED_AFTER, self._open)

@@ -45,16 +45,16 @@ class Marked(NamedTuple):
     sign: str
 
 
-class TerminalLook(NamedTuple):
+class Inks(NamedTuple):
     """The colours and the cells of a terminal.
 
     Attributes:
-        ink: colour of each style that a picture has.
+        of: colour of each style that a picture has.
         cell: pixels of a character.
     """
 
     paper: Paper
-    ink: Mapping[str, Rgb]
+    of: Mapping[str, Rgb]
     cell: tuple[float, float]
 
 
@@ -78,7 +78,7 @@ def image_of(
     content: Cells | Series,
     size: tuple[int, int],
     shape: float,
-    look: TerminalLook,
+    inks: Inks,
     *,
     cursor: int | None = None,
     mark: Marked | None = None,
@@ -92,14 +92,14 @@ def image_of(
         mark: an operator's sign, in the style ``goal``.
     """
     if isinstance(content, Series):
-        image, cell = _plot(content, size, look, cursor)
+        image, cell = _plot(content, size, inks, cursor)
     else:
-        image, cell = _map(content, look, mark)
+        image, cell = _map(content, inks, mark)
     # A pixel is as high as its part of a character.
     return Pixels(image.width, image.height, image.tobytes(), shape=shape * cell[0] / cell[1])
 
 
-def _map(cells: Cells, look: TerminalLook, mark: Marked | None) -> tuple[Image, tuple[int, int]]:
+def _map(cells: Cells, inks: Inks, mark: Marked | None) -> tuple[Image, tuple[int, int]]:
     from PIL import Image, ImageDraw  # noqa: PLC0415 -- optional
 
     if not any(cells.rows):
@@ -112,24 +112,24 @@ def _map(cells: Cells, look: TerminalLook, mark: Marked | None) -> tuple[Image, 
     if "free" in palette:  # its dots are for terminals without the colour
         free = palette.index("free")
         patterns = bytes(0 if style == free else each for each, style in zip(patterns, styles, strict=True))
-    ink = _coloured(styles, [_ink(style, look) for style in palette], (width, height))
+    ink = _coloured(styles, [_ink(style, inks) for style in palette], (width, height))
     ground = _coloured(
-        _padded(cells, cells.backgrounds, width), [_tint(style, look) for style in palette], (width, height)
+        _padded(cells, cells.backgrounds, width), [_tint(style, inks) for style in palette], (width, height)
     )
     dots = Image.frombytes("L", (across, down), bytes(_mask(patterns, width, height)))
     upper, lower = (each.resize((across, down), Image.Resampling.NEAREST) for each in (ink, ground))
     image = Image.composite(upper, lower, dots)
     # Whole pixels for each dot: the terminal does the rest.
-    wide = _factor(look.cell[0] / fine / Canvas.ACROSS, across)
-    high = _factor(look.cell[1] / fine / Canvas.DOWN, down)
+    wide = _factor(inks.cell[0] / fine / Canvas.ACROSS, across)
+    high = _factor(inks.cell[1] / fine / Canvas.DOWN, down)
     image = image.resize((across * wide, down * high), Image.Resampling.NEAREST)
     one = Canvas.ACROSS * wide, Canvas.DOWN * high
     cell = fine * one[0], fine * one[1]
-    pen = _Pen(ImageDraw.Draw(image), cell, look.paper.background)
+    pen = _Pen(ImageDraw.Draw(image), cell, inks.paper.background)
     for column, row, style, text in _texts(cells, styles, width):
-        pen.write(column * one[0], row * one[1], text, _ink(palette[style], look))
+        pen.write(column * one[0], row * one[1], text, _ink(palette[style], inks))
     if mark is not None:
-        pen.write(mark.column * cell[0], mark.row * cell[1], mark.sign, look.ink["goal"])
+        pen.write(mark.column * cell[0], mark.row * cell[1], mark.sign, inks.of["goal"])
     return image, cell
 
 
@@ -182,14 +182,14 @@ def _coloured(indices: bytes, colours: Sequence[Rgb], size: tuple[int, int]) -> 
     return image.convert("RGB")
 
 
-def _ink(style: str, look: TerminalLook) -> Rgb:
-    return _tint(style[1:], look) if style.startswith("@") else look.ink[style]
+def _ink(style: str, inks: Inks) -> Rgb:
+    return _tint(style[1:], inks) if style.startswith("@") else inks.of[style]
 
 
-def _tint(style: str, look: TerminalLook) -> Rgb:
+def _tint(style: str, inks: Inks) -> Rgb:
     from PIL.ImageColor import getrgb  # noqa: PLC0415 -- optional
 
-    red, green, blue = getrgb(look.paper.colour(style.removeprefix("@")) or look.paper.own)[:3]
+    red, green, blue = getrgb(inks.paper.colour(style.removeprefix("@")) or inks.paper.own)[:3]
     return red, green, blue
 
 
@@ -212,24 +212,22 @@ def _texts(cells: Cells, styles: bytes, width: int) -> Iterator[tuple[int, int, 
 # --- plots
 
 
-def _plot(
-    series: Series, size: tuple[int, int], look: TerminalLook, cursor: int | None
-) -> tuple[Image, tuple[int, int]]:
+def _plot(series: Series, size: tuple[int, int], inks: Inks, cursor: int | None) -> tuple[Image, tuple[int, int]]:
     from PIL import Image, ImageDraw  # noqa: PLC0415 -- optional
 
     columns, rows = size
-    cell = max(1, round(look.cell[0])), max(1, round(look.cell[1]))
-    image = Image.new("RGB", (columns * cell[0], rows * cell[1]), look.paper.background)
+    cell = max(1, round(inks.cell[0])), max(1, round(inks.cell[1]))
+    image = Image.new("RGB", (columns * cell[0], rows * cell[1]), inks.paper.background)
     draw = ImageDraw.Draw(image)
-    pen = _Pen(draw, cell, look.paper.background)
+    pen = _Pen(draw, cell, inks.paper.background)
     for row, line in enumerate(plot_rows(series, columns, rows, cursor, with_curves=False)):
         for column, style, word in _words(line):
-            pen.write(column * cell[0], row * cell[1], word, look.ink[style])
+            pen.write(column * cell[0], row * cell[1], word, inks.of[style])
     frame = plot_frame(series, columns, rows)
     left, width, height = AXIS * cell[0], frame.columns * cell[0], frame.rows * cell[1]
     if cursor is not None:
         x = left + (cursor + 0.5) * cell[0]
-        draw.line((x, 0, x, height), look.ink["dim"])
+        draw.line((x, 0, x, height), inks.of["dim"])
     for curve, style in zip(series.curves, cycle(CURVE_STYLES), strict=False):
         count = len(curve.lows)
         before: tuple[float, float] | None = None
@@ -241,7 +239,7 @@ def _plot(
             if before is not None:  # connected, also over columns without a message, from the nearer end
                 ends.sort(key=lambda end, y=before[1]: abs(end[1] - y))  # type: ignore[misc]
                 ends.insert(0, before)
-            draw.line(ends, look.ink[style], width=max(1, cell[0] // 5))
+            draw.line(ends, inks.of[style], width=max(1, cell[0] // 5))
             before = ends[-1]
     return image, cell
 

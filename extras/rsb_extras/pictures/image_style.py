@@ -89,8 +89,8 @@ class ImageStyle:
         """Return a picture as an image; one of a map or a plot has an operator's sign or the cursor on it."""
         if isinstance(content, Pixels):
             return content
-        look, size = self._pane.look(styles_in(content), self._cell), (wish.width, wish.height)
-        return await asyncio.to_thread(image_of, content, size, wish.shape, look, cursor=cursor, mark=mark)
+        inks, size = self._pane.inks(styles_in(content), self._cell), (wish.width, wish.height)
+        return await asyncio.to_thread(image_of, content, size, wish.shape, inks, cursor=cursor, mark=mark)
 
     def in_blocks(self, content: Pixels, wish: Wish) -> list[Row]:
         sextants = self._pane.terminal.facts.draws_sextants

@@ -21,7 +21,7 @@ from textual.widget import Widget
 from rsb_console.feature_console import FullScreen
 from rsb_console.library_internals.textual_internals import Toast, ToastRack, entitle
 from rsb_console.widgets.lines import LOOK_CLASSES, yield_gil
-from rsb_extras.pictures.cell_image import TerminalLook
+from rsb_extras.pictures.cell_image import Inks
 from rsb_extras.pictures.graphics import USUAL_CELL, Extent, Painter, bands_of, frame_of
 from rsb_extras.pictures.paper import Paper
 
@@ -251,10 +251,10 @@ class PicturePane(Widget, can_focus=True):
         assert own.foreground is not None
         return Paper(own.background.rgb, own.foreground.rgb)
 
-    def look(self, styles: Iterable[str], cell: tuple[float, float]) -> TerminalLook:
+    def inks(self, styles: Iterable[str], cell: tuple[float, float]) -> Inks:
         """Return the colours of these styles, for characters of so many pixels."""
         paper = self._paper
-        return TerminalLook(paper, {name: self._ink(name, paper) for name in styles}, cell)
+        return Inks(paper, {name: self._ink(name, paper) for name in styles}, cell)
 
     def _ink(self, name: str, paper: Paper) -> Rgb:
         style = self._style(name, "")

@@ -9,13 +9,13 @@ import pytest
 
 pytest.importorskip("PIL")
 
-from rsb_extras.pictures.cell_image import Marked, TerminalLook, fine_for, image_of, is_drawn, styles_in
+from rsb_extras.pictures.cell_image import Inks, Marked, fine_for, image_of, is_drawn, styles_in
 from rsb_extras.pictures.drawing import Canvas
 from rsb_extras.pictures.paper import Paper
 from rsb_extras.pictures.picture import MOST_COLUMNS, MOST_ROWS, Cells, Curve, Pixels, Series, Wish
 from rsb_extras.pictures.picture_rows import AXIS
+from rsb_extras.pictures.tests.map_view_helpers import grid, path, picture, pose
 from rsb_extras.pictures.tests.samples import cells_of
-from rsb_extras.pictures.tests.test_map_view import grid, path, picture, pose
 
 PAPER = Paper.of("#101010", "#d0d0d0")
 INKS = {"path": (0, 0, 255), "robot": (0, 255, 0), "goal": (255, 255, 0), "curve": (255, 0, 255)}
@@ -25,8 +25,8 @@ CELL = 10.0, 20.0
 def drawn(
     content: Cells | Series, size: tuple[int, int] = (80, 24), *, cursor: int | None = None, mark: Marked | None = None
 ) -> Pixels:
-    look = TerminalLook(PAPER, {style: INKS.get(style, (200, 200, 200)) for style in styles_in(content)}, CELL)
-    return image_of(content, size, 2.0, look, cursor=cursor, mark=mark)
+    inks = Inks(PAPER, {style: INKS.get(style, (200, 200, 200)) for style in styles_in(content)}, CELL)
+    return image_of(content, size, 2.0, inks, cursor=cursor, mark=mark)
 
 
 def colours(image: Pixels) -> dict[tuple[int, ...], set[tuple[float, float]]]:
