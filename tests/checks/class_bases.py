@@ -10,6 +10,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 PARTS = ("bridge", "console", "extras")
+_OF_LIBRARIES = {"library_internals", "python_internals"}
+"""Folders whose classes stand for a library's."""
 Method = ast.FunctionDef | ast.AsyncFunctionDef
 
 
@@ -24,6 +26,8 @@ def _modules_by_class() -> dict[str, list[Path]]:
     found: dict[str, list[Path]] = defaultdict(list)
     for part in PARTS:
         for module in (ROOT / part).rglob("*.py"):
+            if _OF_LIBRARIES & {*module.parts}:
+                continue
             for name in re.findall(r"^class (\w+)", module.read_text(encoding="utf-8"), re.MULTILINE):
                 found[name].append(module)
     return found

@@ -409,11 +409,13 @@ class BaseLink:
 
     # --- control messages
 
-    def send(self, message: ControlMessageBase) -> None:
-        """Send a control message; without a connection it waits if the link is suspended, and else nothing happens."""
-        self._send(message, encode(message))
+    def send(self, message: ControlMessageBase) -> bytes:
+        """Send a control message; without a connection it waits if the link is suspended, and else nothing happens.
 
-    def _send(self, message: ControlMessageBase, content: bytes) -> None:
+        Returns:
+            The message as it is sent.
+        """
+        content = encode(message)
         if self.session is not None:
             self.session.sends(message, content)
         if self.present is not None:
@@ -422,11 +424,11 @@ class BaseLink:
                 self.present.control.stream.abort(NEVER_HANDLED)  # `lost` comes later
         elif self.session is not None and self.session.is_over:
             self.end_session()
+        return content
 
     def send_urgent(self, message: UrgentMessage) -> None:
         """Send a control message, and over the UDP channels besides: there it does not wait for what a stream lost."""
-        content = encode(message)
-        self._send(message, content)
+        content = self.send(message)
         if self.present is not None:
             self.present.send_urgent(content)
 

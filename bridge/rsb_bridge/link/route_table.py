@@ -100,7 +100,7 @@ class RouteTable(Extension):
         self._link.ids.disconnected()
         for route in self._link.routes.values():
             route.close(self._link.status.reason)
-            self._lead(route)  # the peer's next session may not list it any more
+            _lead(route)  # the peer's next session may not list it any more
         self.arming.lease.stop()  # after the routes, which ask how long the other side may still publish
 
     def suspend(self) -> None:
@@ -110,14 +110,8 @@ class RouteTable(Extension):
                 route.suspend()
             elif route.id:
                 route.close(self._link.status.reason)
-                self._lead(route)
+                _lead(route)
         self.arming.lease.stop()  # after the routes, as in `disconnected`
-
-    @staticmethod
-    def _lead(route: Route) -> None:
-        """Have this side propose a route again, if its session lists it."""
-        if route.here is not None:
-            route.enter(route.here, None)
 
     # --- adding and removing
 
@@ -505,8 +499,14 @@ class RouteTable(Extension):
                     self.openings.propose_soon((route,))
             elif now > route.reopening.awaited_until(link.linked_at):
                 if route.here is not None:  # this side's session lists it, too
-                    self._lead(route)
+                    _lead(route)
                     self.openings.propose(route)
                 else:
                     self._forget(route, EventCode.ROUTE_REMOVED, "the other side no longer asks for it")
                     self.on_given_up()
+
+
+def _lead(route: Route) -> None:
+    """Have this side propose a route again, if its session lists it."""
+    if route.here is not None:
+        route.enter(route.here, None)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import msgspec
 import pytest
@@ -18,32 +17,10 @@ from rsb_extras.pictures.drawing import Canvas, Drawn, TakenMessage
 from rsb_extras.pictures.grids import GridProblem
 from rsb_extras.pictures.map_view import MapProblem, MapView
 from rsb_extras.pictures.picture import Picture, Wish
-from rsb_extras.pictures.tests.map_view_helpers import grid
+from rsb_extras.pictures.tests.map_view_helpers import WISH, grid, path, picture, pose
 from rsb_extras.pictures.tests.samples import cells_of, task
 from rsb_extras.pictures.transforms import FrameTree, Transform
 from rsb_extras.pictures.worker import Artist
-
-WISH = Wish(width=40, height=20)
-
-
-def picture(*messages: Any, wish: Wish = WISH) -> Picture:
-    """Return the picture of messages, each on a topic of its own."""
-    artist, result = Artist(), None
-    first = task(wish, messages[0])
-    for at, message in enumerate(messages):
-        wanted = task(wish, message, topic=f"/topic{at}")
-        result = artist.do(msgspec.structs.replace(wanted, type_name=first.type_name))
-    assert result is not None
-    return result
-
-
-def pose(x: float, y: float, yaw: float, kind: type = PoseStamped, frame: str = "map") -> Any:
-    message = kind()
-    message.header.frame_id = frame
-    at = message.pose.pose if kind is Odometry else message.pose
-    at.position.x, at.position.y = x, y
-    at.orientation.z, at.orientation.w = math.sin(yaw / 2), math.cos(yaw / 2)
-    return message
 
 
 def place(of: Picture, mark: str) -> tuple[float, float]:
@@ -265,12 +242,6 @@ def test_ground_goes_on_behind_dots() -> None:
         if cells.palette[style] == "path" and background
     }
     assert behind == {"free"}
-
-
-def path(points: list[tuple[float, float]]) -> Path:
-    message = Path(poses=[pose(x, y, 0.0) for x, y in points])
-    message.header.frame_id = "map"
-    return message
 
 
 def test_legend_names_topics_as_room_allows() -> None:
