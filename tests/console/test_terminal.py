@@ -454,10 +454,10 @@ def test_a_light_background_changes_the_terminals_theme(tmp_path: Path) -> None:
     with Terminal("rsb_console", environ=environ, forked=True) as terminal:
         terminal.wait_for("Open a session")
         terminal.wait_for("\x1b]11;?")
-        terminal.wait_for("36m")  # cyan, whatever comes with it
+        terminal.wait_for("\x1b[36m")  # cyan
         mark = len(terminal.output)
         terminal.type("\x1b]11;rgb:ffff/ffff/ffff\x1b\\")
-        terminal.wait_for("34m", after=mark)  # blue
+        terminal.wait_for("\x1b[34m", after=mark)  # blue
         terminal.type("q")
         assert terminal.exit_code() == 0
 
