@@ -133,9 +133,9 @@ def test_the_curve_has_numbers_at_its_axis() -> None:
 
 def test_what_is_throttled_on_purpose_is_no_loss() -> None:
     ledger = Ledger(offered=100, delivered=20, throttled=80)
-    words = said(route("/scan", spec=Topic("/scan", "receive", max_rate=5.0), ledger=ledger))
+    words = said(route("/scan", max_rate=5.0, ledger=ledger))
     assert "limit 5 Hz" in words
-    assert " Hz of 5 allowed" in said(route("/scan", expected_rate=5.0, allowed_rate=5.0))
+    assert " Hz of 5 allowed" in said(route("/scan", expected_rate=5.0, max_rate=5.0))
     assert "100.0 %" in words
 
 

@@ -8,12 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.console.scripted import LINK, route
 
-from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import WaySnapshot
 from rsb_console.notation import formats
 from rsb_console.notation.ascii_signs import to_ascii
-
-FIVE = Topic("/scan", "receive", max_rate=5.0)
 
 
 @pytest.mark.parametrize(
@@ -27,13 +24,13 @@ FIVE = Topic("/scan", "receive", max_rate=5.0)
         (formats.expected(0.5), "0.5"),
         (formats.beside_rate(route("/scan", expected_rate=10.0)), "/10"),
         (formats.beside_rate(route("/scan", expected_rate=None)), ""),
-        (formats.beside_rate(route("/scan", expected_rate=None, allowed_rate=1.0)), "≤1"),
-        (formats.beside_rate(route("/scan", expected_rate=0.98, allowed_rate=1.0)), "≤1"),
-        (formats.beside_rate(route("/scan", expected_rate=5.0, spec=FIVE, allowed_rate=20.0)), "≤5"),
-        (formats.beside_rate(route("/scan", expected_rate=10.0, allowed_rate=50.0)), "/10"),
-        (to_ascii("1.0" + formats.beside_rate(route("/scan", expected_rate=1.0, allowed_rate=1.0))), "1.0<1"),
-        (formats.rate_by_name(route("/scan", expected_rate=10.0, allowed_rate=50.0)), "usual: 10 Hz"),
-        (formats.rate_by_name(route("/scan", expected_rate=1.0, allowed_rate=1.0)), "limit: 1 Hz"),
+        (formats.beside_rate(route("/scan", expected_rate=None, max_rate=1.0)), "≤1"),
+        (formats.beside_rate(route("/scan", expected_rate=0.98, max_rate=1.0)), "≤1"),
+        (formats.beside_rate(route("/scan", expected_rate=5.0, max_rate=5.0)), "≤5"),
+        (formats.beside_rate(route("/scan", expected_rate=10.0, max_rate=50.0)), "/10"),
+        (to_ascii("1.0" + formats.beside_rate(route("/scan", expected_rate=1.0, max_rate=1.0))), "1.0<1"),
+        (formats.rate_by_name(route("/scan", expected_rate=10.0, max_rate=50.0)), "usual: 10 Hz"),
+        (formats.rate_by_name(route("/scan", expected_rate=1.0, max_rate=1.0)), "limit: 1 Hz"),
         (formats.byte_rate(412), "412 B/s"),
         (formats.byte_rate(9_990), "10 kB/s"),
         (formats.byte_rate(312_000), "312 kB/s"),

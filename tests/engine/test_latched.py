@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import os
+import subprocess
+import sys
 from collections import Counter
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +28,8 @@ from rsb_bridge.route.receiver import Receiver
 from rsb_console.command.watching_commands import _carries
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from rclpy.publisher import Publisher
     from tests.support.bridge import Bridge
     from tests.support.relay import Relay
@@ -303,6 +308,48 @@ def test_node_that_has_ended_is_heard_by_no_late_joiner(
     robot.node.destroy_publisher(ends)
     eventually(lambda: len(pc.node.get_publishers_info_by_topic("/e_stop")) == 1)
     same_on_both_sides(robot, pc, "/e_stop", kept[1:])
+
+
+_RELEASES = """
+import sys, time
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_msgs.msg import String
+context = Context()
+context.init([], domain_id=int(sys.argv[1]))
+node = Node("mortal", context=context, enable_rosout=False, start_parameter_services=False)
+publisher = node.create_publisher(String, "/e_stop", QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+publisher.publish(String(data="released"))
+time.sleep(1000)
+"""
+_LISTED_FOR_LONG = """<profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
+<participant profile_name="listed_for_long" is_default_profile="true"><rtps><builtin><discovery_config>
+<leaseDuration><sec>3600</sec></leaseDuration>
+</discovery_config></builtin></rtps></participant></profiles>
+"""
+
+
+def test_killed_node_is_heard_by_no_late_joiner(
+    bridge: Bridge, robot: Domain, pc: Domain, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """DDS lists it all the time: who has joined before hears its successor last, who joins later nobody else."""
+    constants.SILENT_WITHIN.set(monkeypatch, 1.0)
+    profile = tmp_path / "listed.xml"
+    profile.write_text(_LISTED_FOR_LONG)
+    environment = {**os.environ, "FASTRTPS_DEFAULT_PROFILES_FILE": str(profile)}
+    with subprocess.Popen((sys.executable, "-c", _RELEASES, str(robot.id)), env=environment) as mortal:
+        try:
+            bridge.both(Topic("/e_stop", "transmit"))
+            before = pc.listener("/e_stop", qos=JOINS_LATE)
+            eventually(lambda: len(before.payloads) == 1)
+        finally:
+            mortal.kill()
+    (pressed,) = publish(robot.publisher("/e_stop", qos=latched(1)), "pressed", range(1))
+    eventually(lambda: len(before.payloads) == 3 and bytes(before.payloads[-1]) == pressed, what="pressed is last")
+    eventually(lambda: len(pc.node.get_publishers_info_by_topic("/e_stop")) == 1, what="one history is left")
+    same_on_both_sides(robot, pc, "/e_stop", [pressed])
+    assert len(robot.node.get_publishers_info_by_topic("/e_stop")) == 2
 
 
 def test_a_publisher_that_is_gone_leaves_no_history(

@@ -48,6 +48,8 @@ class Writer:
     history: deque[int] = field(default_factory=deque)
     published: dict[int, int] = field(default_factory=dict)
     """When each message was published, in ns."""
+    answers: bool = True
+    """Whether a new reader gets its history: not once its process was killed or stopped."""
 
 
 class NearDds:
@@ -119,6 +121,9 @@ class NearReader:
         self._dds.loop.call_later(self._dds.random.uniform(0, 0.05), self._discovered, writer)
 
     def _discovered(self, writer: Writer) -> None:
+        if not writer.answers:
+            self._dds.loop.call_later(0.1, self._discovered, writer)
+            return
         self._matched.add(writer.gid)
         self._waiting[writer.gid] = deque(list(writer.history)[-1:] if self._dds.overwrites else writer.history)
         self._hand_over_soon(writer)
@@ -255,7 +260,7 @@ class Route:
     def emit(self, samples: Sequence[Sample]) -> None:
         for header, message, _ in samples:
             self.sent += 1
-            content = b"%s %s" % (header.publisher.rstrip(b"\0"), message.payload)
+            content = b"%s %s" % (message.gid.rstrip(b"\0"), message.payload)
             assert self.topic.publish(header, content), (header, content)
 
     def too_late(self, _: Sequence[RawMessage]) -> None:
@@ -281,9 +286,7 @@ class Route:
 
     def tell(self) -> None:
         assert self.subscription.histories is not None
-        present = self.subscription.histories.forget_gone(set(self.near.writers))
-        depths = self.subscription.histories.depths()
-        self.topic.present({gid: depths.get(gid, 0) for gid in present})
+        self.topic.present(self.subscription.histories.present(set(self.near.writers)))
 
     def second(self) -> None:
         assert self.subscription.histories is not None
@@ -322,13 +325,18 @@ class World:
         return sorted(
             b"%s %d" % (writer.gid.rstrip(b"\0"), number)
             for writer in self.near.writers.values()
+            if writer.answers
             for number in writer.history
         )
 
 
 @pytest.mark.parametrize("seed", range(16))
-def test_late_joiners_get_the_same_on_both_sides(seed: int) -> None:
-    """For all depths and orders of events, at rest both sides keep the same, and nothing is heard twice."""
+@pytest.mark.parametrize("kills", [0, 2])
+def test_late_joiners_get_the_same_on_both_sides(kills: int, seed: int) -> None:
+    """For all depths and orders of events, at rest both sides keep the same.
+
+    Nothing is heard twice but the newest message once a node has been killed.
+    """
     with virtual_loop() as loop:
         world = World(loop, seed)
         random = world.random
@@ -339,6 +347,7 @@ def test_late_joiners_get_the_same_on_both_sides(seed: int) -> None:
                 "burst": 2,
                 "writer": 3,
                 "gone": 1,
+                "killed": kills,
                 "cut": 1,
                 "near": 1,
                 "far": 1,
@@ -356,6 +365,10 @@ def test_late_joiners_get_the_same_on_both_sides(seed: int) -> None:
                     world.near.new_writer(random.choice([1, 1, 1, 2, 3, 5, 10, 15]))
                 case "gone" if writers:
                     del world.near.writers[random.choice(writers).gid]
+                case "killed" if writers:
+                    killed = random.choice(writers)
+                    killed.answers = False
+                    world.loop.call_later(20.0, world.near.writers.pop, killed.gid, None)
                 case "cut":
                     world.route.cut()
                 case "near":
@@ -365,11 +378,11 @@ def test_late_joiners_get_the_same_on_both_sides(seed: int) -> None:
                 case "wait":
                     world.wait(random.expovariate(5))
                 case "rest":
-                    world.wait(20)
+                    world.wait(25)
                     assert world.far.late_joiner() == world.near_late_joiner()
-        world.wait(20)
+        world.wait(25)
         assert world.far.late_joiner() == world.near_late_joiner()
-        assert len(set(world.far.heard)) == len(world.far.heard)
+        assert kills or len(set(world.far.heard)) == len(world.far.heard)
         route = world.route
         assert route.offered == route.sent + route.held
         route.held += route.subscription.close()
@@ -442,6 +455,84 @@ def test_late_joiner_hears_no_publisher_that_has_ended() -> None:
         del world.near.writers[ends.gid]
         world.wait(3.0)
         assert world.far.late_joiner() == [b"writer 1 1"]
+
+
+class KilledBeside:
+    """A node that has released an e-stop and was killed, its successor that has pressed it, and one beside them."""
+
+    def __init__(self, world: World) -> None:
+        self.world = world
+        self.beside, self.killed = world.near.new_writer(1), world.near.new_writer(1)
+        for writer in (self.beside, self.killed):
+            world.near.publish(writer)
+            world.wait(2.0)
+        self.killed.answers = False
+        self.successor = world.near.new_writer(1)
+        world.near.publish(self.successor)
+
+
+def test_newest_is_heard_last_after_kill() -> None:
+    """DDS lists the killed publisher all the time."""
+    with virtual_loop() as loop:
+        world = World(loop, 1)
+        KilledBeside(world)
+        world.wait(4.0)
+        assert world.far.late_joiner() == [b"writer 0 1", b"writer 1 1", b"writer 2 1"]
+        world.wait(6.0)
+        assert world.far.late_joiner() == world.near_late_joiner() == [b"writer 0 1", b"writer 2 1"]
+        # A late joiner may have heard them in another order before.
+        assert world.far.heard == [b"writer 0 1", b"writer 1 1", b"writer 2 1", b"writer 2 1"]
+        world.wait(20.0)
+        assert len(world.far.heard) == 4
+
+
+def test_message_after_kill_is_not_sent_again() -> None:
+    with virtual_loop() as loop:
+        world = World(loop, 1)
+        nodes = KilledBeside(world)
+        world.wait(7.0)
+        world.near.publish(nodes.successor)
+        world.wait(10.0)
+        assert world.far.late_joiner() == world.near_late_joiner() == [b"writer 0 1", b"writer 2 2"]
+        assert world.far.heard[2:] == [b"writer 2 1", b"writer 2 2"]
+
+
+def test_stopped_publisher_that_goes_on_is_heard_again() -> None:
+    with virtual_loop() as loop:
+        world = World(loop, 1)
+        nodes = KilledBeside(world)
+        world.wait(10.0)
+        assert b"writer 1 1" not in world.far.late_joiner()
+        nodes.killed.answers = True
+        world.wait(3.0)
+        world.near.publish(nodes.killed)
+        world.wait(3.0)
+        assert world.far.late_joiner() == world.near_late_joiner() == [b"writer 0 1", b"writer 1 2", b"writer 2 1"]
+
+
+def test_killed_publisher_leaves_no_subscription() -> None:
+    with virtual_loop() as loop:
+        world = World(loop, 1)
+        nodes = KilledBeside(world)
+        world.wait(10.0)
+        assert len(world.near.readers) == 2
+        del world.near.writers[nodes.killed.gid]
+        world.wait(3.0)
+        assert len(world.near.readers) == 1
+        assert world.far.late_joiner() == world.near_late_joiner()
+
+
+def test_living_publishers_are_not_sent_again() -> None:
+    """Nodes that start one after the other, each asking for the others."""
+    with virtual_loop() as loop:
+        world = World(loop, 1)
+        for _ in range(10):
+            world.near.publish(world.near.new_writer(1))
+            world.wait(1.5)
+        world.wait(10.0)
+        assert len(world.far.heard) == 10
+        assert len(world.near.readers) == 1
+        assert world.near.subscribed <= 1 + 10
 
 
 def test_new_sender_may_not_know_its_publishers_yet() -> None:

@@ -7,6 +7,7 @@ import weakref
 from types import SimpleNamespace
 from typing import Any, cast
 
+import msgspec
 import pytest
 
 from rsb_bridge.cdr.description import TypeVersion
@@ -91,7 +92,10 @@ class Side(SimpleNamespace):
         ros = SimpleNamespace(publishers=lambda _: self.published, installed_hash=lambda _: None)
         super().__init__(
             published=[*publishers],
-            context=SimpleNamespace(domain="3", similar_topics=SimpleNamespace(of=lambda *_: meant), ros=ros),
+            wall=10.0 * 3600,
+            context=SimpleNamespace(
+                domain="3", wall=lambda: self.wall, similar_topics=SimpleNamespace(of=lambda *_: meant), ros=ros
+            ),
             proposal=Propose(route=1, topic="/robot1/scan", remote_topic="/robot1/scan", from_client=True),
             peer=SimpleNamespace(is_client=False, name="robot1"),
             spec=Topic("/robot1/scan", lists),
@@ -126,12 +130,28 @@ def test_prefix_that_server_adds_is_named() -> None:
     assert side.resolver.no_publisher() == f"{NOBODY}; did you mean /scan?"
 
 
+@pytest.mark.parametrize("on_client", ["/scan", "/robot1/scan"])
+def test_prefix_is_named_where_server_publishes(on_client: str) -> None:
+    """The client's entry says receive: it lacks the prefix as it should, or has it beside the server's."""
+    side = Side(on_client, publisher(A, "1", "/desk"), lists="receive")
+    side.peer.is_client = True
+    side.far_topic = on_client
+    topic = f"/robot1{on_client}"
+    side.proposal = msgspec.structs.replace(side.proposal, topic=topic)
+    nobody = NOBODY.replace("/robot1/scan", topic)
+    assert side.resolver.no_publisher() == f"{nobody}; did you mean {on_client}? The server adds /robot1"
+
+
 def test_remapped_topic_is_named_with_its_nodes() -> None:
-    resolver = Side("/front_laser", publisher(A, "1", "/lidar"), publisher(A, "1", "/b")).resolver
+    side = Side("/front_laser", publisher(A, "1", "/lidar"), publisher(A, "1", "/b"))
+    resolver = side.resolver
     assert resolver.no_publisher() == f"{NOBODY}; /b and /lidar publish /front_laser, the same type"
     resolver.update([publisher(A, "1", "/lidar")])
     resolver.update([])
-    assert resolver.no_publisher() == f"{NOBODY}; /lidar publishes /front_laser, the same type"
+    moved = f"{NOBODY}; /lidar publishes /front_laser since 10:00 UTC, the same type"
+    assert resolver.no_publisher() == moved
+    side.wall += 600.0
+    assert resolver.no_publisher() == moved
 
 
 @pytest.mark.parametrize(("lists", "meant"), [("transmit", "receive"), ("receive", "transmit")])

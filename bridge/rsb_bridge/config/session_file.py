@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Problem", "SessionError", "dump", "load", "parse", "save", "validate", "validate_topic"]
 
+_NO_DOMAIN = "# domain_id: 0   # without it, $ROS_DOMAIN_ID of this side, else 0\n"
+
 
 class SavingProblem(Wording):
     """The reason why a session file cannot be read as such, or be saved."""
@@ -134,11 +136,13 @@ def demand_lines(text: str, path: Path) -> dict[SourceKey, list[int]]:
 def dump(session: Session, notes: Iterable[str] = ()) -> str:
     """Return the text of a new session file, without the values that are at their defaults.
 
+    A comment names the domain that it does not give.
+
     Args:
         notes: comments at its head, one line each.
     """
     head = "".join(f"# {one_line(note)}\n" for note in notes)
-    return head + dump_yaml(as_plain(as_written(session)))
+    return head + dump_yaml(as_plain(as_written(session))) + (_NO_DOMAIN if session.domain_id is None else "")
 
 
 def same(one: Session, other: Session) -> bool:

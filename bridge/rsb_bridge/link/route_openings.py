@@ -116,7 +116,7 @@ class RouteOpenings:
         return not failure
 
     def accepted(self, route: Route) -> None:
-        if route.limit.here:
+        if route.limit.own:
             self.tell_rate(route)
         route.on_accepted()
 
@@ -131,4 +131,4 @@ class RouteOpenings:
 
     def tell_rate(self, route: Route) -> None:
         if route.id:
-            self._link.send(wire.Limit(route=route.id, max_rate=route.limit.here))
+            self._link.send(wire.Limit(route=route.id, max_rate=route.limit.own))

@@ -256,7 +256,8 @@ class RouteSnapshot:
     """If it moves a robot: the publishers on the sending side, and on the receiving side those beside this link."""
     audience: Audience = NOBODY  # the subscriptions on the receiving side; empty of what is no topic
     arming: ArmingSnapshot | None = None  # whether it is armed, or None if arming is not required
-    allowed_rate: float | None = None  # Hz that the rights of the two sides allow, or None for any rate
+    max_rate: float | None = None
+    """The lowest limit (Hz) of the topic's entry, both sides' rights and the sending side's profile, or None."""
     calls: CallsSnapshot | None = None  # its calls, which `rate`, `history` and `age` then count, or None for a topic
     goals: tuple[GoalSnapshot, ...] = ()  # the newest goals of an action, unfinished ones first
     lanes: tuple[str, ...] = ()
@@ -276,11 +277,6 @@ class RouteSnapshot:
     purpose: str = "topic"  # what it carries, as in `rsb_bridge.model.purposes`
     features: dict[str, Any] = field(default_factory=dict)
     """The values that features show of it, by name (`rsb_bridge.feature.ShownField.of`)."""
-
-    @property
-    def max_rate(self) -> float | None:
-        """The lowest limit of the topic's entry and the rights, Hz, or None for no limit."""
-        return min((rate for rate in (self.spec.max_rate, self.allowed_rate) if rate), default=None)
 
     def age(self, now: float) -> float | None:
         """Return s since the last message at `now`, the `Snapshot.time`, or None before the first."""

@@ -8,10 +8,14 @@ A publisher that never pauses publishes while it is probed. Only what it publish
 may be history, which shows its depth within few messages. No live message waits for that: each is sent with the most
 that its publisher may keep, and the peer drops what is too much as soon as it gets the depth. Only a history, or the
 first 0.3 s of a burst, waits for a moment, because with a known depth it costs the peer one publisher.
+
+A killed publisher's history is withdrawn as soon as a newcomer has shown that it is silent. Who joined on the far side
+before may have heard it last, so the newest message of those that are left is sent again.
 """
 
 from __future__ import annotations
 
+import hashlib
 from collections import deque
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
@@ -19,7 +23,8 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 from rsb_bridge.model.limits import LATCHED_DEPTH
 from rsb_bridge.model.qos import AUTO_DEPTH, QUEUE_BYTES
 from rsb_bridge.ros.ros_interface import RosError
-from rsb_bridge.wire.headers import HistoryHeader, publisher_id
+from rsb_bridge.route.silent_publishers import SilentPublishers
+from rsb_bridge.wire.headers import PUBLISHER_ID_LENGTH, HistoryHeader, publisher_id
 
 if TYPE_CHECKING:
     import asyncio
@@ -31,6 +36,7 @@ if TYPE_CHECKING:
 _SETTLES_AFTER = 0.1  # s without a message of a publisher: its history has come
 _HELD_FOR = 0.3  # s that messages wait for a probe; a publisher that has not been quiet for so long is busy
 _HELD = LATCHED_DEPTH  # messages of a publisher that wait; a longer burst is sent with the most that may be kept
+_WITHDRAWN_AFTER = 3.0  # s until the peer has closed a silent publisher's history: it looks once a second
 _ENDED_AFTER = 0.5  # s: the graph is looked at 1 s after its last change, and may have lost a publisher for a moment
 
 _PROBES_FOR = 1.0  # s until a probe ends that has not got what it waits for
@@ -86,6 +92,7 @@ class _Publisher:
     held_size: int = 0
     # Of a topic with a lifespan, the newest live messages' numbers, and when they came.
     arrivals: deque[tuple[int, float]] = field(default_factory=lambda: deque(maxlen=LATCHED_DEPTH))
+    source: int = 0  # ns since the epoch, when its newest message was published
     gone_since: float | None = None  # when it left the graph, or None while it is there
     is_ahead: bool = False  # its clock is: a message came before it was published
 
@@ -108,6 +115,7 @@ class Histories:
         probe: Callable[[Callable[[Sequence[RawMessage]], None]], Subscription],
         emit: Callable[[list[Sample]], None],
         found: Callable[[], None],
+        again: Callable[[Sequence[RawMessage]], None],
         *,
         depth: int,
         lifespan: float,
@@ -120,7 +128,8 @@ class Histories:
         Args:
             probe: subscribes a second time, with a receiver of its messages on the loop; may raise RosError.
             emit: gets the messages, on the loop, in order for each publisher.
-            found: called after `depths` has got more entries.
+            found: called after `present` has changed.
+            again: gets messages that are to be sent though they were taken before; it hands them to `receive`.
             depth: history depth that an operator has set for all publishers, or 0 to find it out.
             lifespan: s after which publishers on either side forget a message, or 0 for never.
             known: the newest number that the peer has, by publisher.
@@ -137,12 +146,24 @@ class Histories:
         self._taken = taken
         self._bounds_before = {} if depth else dict(bounds)
         self._publishers: dict[bytes, _Publisher] = {}
+        self._other_ids: dict[bytes, bytes] = {}  # of publishers whose history was sent again
+        self._silent = SilentPublishers(loop, probe, self._withdraw, again)
+        self._resends: asyncio.TimerHandle | None = None
         self._probe: _Probe | None = None
         self._timer: asyncio.TimerHandle | None = None
 
-    def depths(self) -> dict[bytes, int]:
-        """Return the depths that have been found out, by publisher."""
-        return {publisher_id(gid): each.at_most for gid, each in self._publishers.items() if each.exact}
+    def present(self, gids: Collection[bytes]) -> dict[bytes, int]:
+        """Forget publishers that have ended, and return the depth of each other one that is not silent, or 0.
+
+        A publisher that the graph has lost just now is still present. The peer drops the histories of the others, so
+        if one returns, its whole history is sent.
+
+        Args:
+            gids: of the publishers that the graph has.
+        """
+        left = {*gids, *self._forget_gone(gids)} - self._silent.silent
+        depths = {gid: each.at_most for gid, each in self._publishers.items() if each.exact}
+        return {self._id(gid): depths.get(gid, 0) for gid in left}
 
     def bounds(self) -> dict[bytes, Bounds]:
         """Return the bounds of the depths, by publisher, as far as any are known."""
@@ -175,7 +196,8 @@ class Histories:
                 publisher.held_size += len(message.payload)
             else:
                 number = message.number or publisher.taken
-                samples.append(_sample(message, number, self._depth_of(publisher, message.number), replayed=replayed))
+                depth = self._depth_of(publisher, message.number)
+                samples.append(self._sample(message, number, depth, replayed=replayed))
         if samples:
             self._emit(samples)
         self._work()
@@ -188,11 +210,8 @@ class Histories:
             publisher.settled = publisher.exact
             publisher.arrivals.clear()
 
-    def forget_gone(self, present: Collection[bytes]) -> set[bytes]:
-        """Forget publishers that have ended; return the others, among them any that the graph has lost just now.
-
-        The peer drops the histories of publishers that have ended, so if one returns, its whole history is sent.
-        """
+    def _forget_gone(self, present: Collection[bytes]) -> Collection[bytes]:
+        """Forget publishers that have ended; return the others that have been heard."""
         now = self._loop.time()
         if self._bounds_before:
             here = {publisher_id(gid) for gid in present}
@@ -208,14 +227,18 @@ class Histories:
             # A publisher that still sends is there, even if the graph has lost it.
             if now - max(publisher.latest, publisher.gone_since) > _ENDED_AFTER:
                 del self._publishers[gid]
-        return {*present, *self._publishers}
+                self._other_ids.pop(gid, None)
+        self._silent.forget_gone({*present, *self._publishers})
+        return self._publishers
 
     def close(self) -> int:
         """Stop emitting messages, and return how many were held."""
         self._end_probe()
-        if self._timer is not None:
-            self._timer.cancel()
-            self._timer = None
+        self._silent.close()
+        for timer in (self._timer, self._resends):
+            if timer is not None:
+                timer.cancel()
+        self._timer = self._resends = None
         held = sum(len(publisher.held) for publisher in self._publishers.values())
         self._publishers.clear()
         return held
@@ -228,9 +251,11 @@ class Histories:
             if bounds := self._bounds_before.pop(publisher_id(message.gid), None):
                 publisher.at_least, publisher.at_most = bounds
                 publisher.bounded = True
+            self._doubt_others(message)
         if not publisher.first:
             publisher.first, publisher.began = message.number, now
-        publisher.newest = max(publisher.newest, message.number)
+        if message.number >= publisher.newest:
+            publisher.newest, publisher.source = message.number, message.source
         publisher.is_ahead = publisher.is_ahead or message.source > message.stamp
         if now - publisher.latest > _SETTLES_AFTER:
             publisher.flows_since = now
@@ -254,6 +279,43 @@ class Histories:
         if publisher.exact or publisher.bounded or self._lifespan or is_busy:
             return publisher.at_most  # with a lifespan the peer's publishers forget as quickly
         return min(number - publisher.first + 1, publisher.at_most)
+
+    def _sample(self, message: RawMessage, number: int, depth: int, *, replayed: bool) -> Sample:
+        return Sample(HistoryHeader(self._id(message.gid), number, depth), message, replayed)
+
+    def _id(self, gid: bytes) -> bytes:
+        return self._other_ids.get(gid) or publisher_id(gid)
+
+    # --- killed publishers
+
+    def _doubt_others(self, newcomer: RawMessage) -> None:
+        """Ask whether the other publishers are left, as a newcomer may stand in a killed one's place."""
+        if not newcomer.number or self._lifespan:  # the peer's publishers forget what has expired, too
+            return
+        if others := self._publishers.keys() - {newcomer.gid}:
+            self._silent.ask(newcomer.gid, others)
+
+    def _withdraw(self) -> None:
+        for gid in self._silent.silent:
+            self._publishers.pop(gid, None)
+        self._found()
+        if self._resends is not None:
+            self._resends.cancel()
+        self._resends = self._loop.call_later(_WITHDRAWN_AFTER, self._send_newest_again, self._loop.time())
+
+    def _send_newest_again(self, withdrawn_at: float) -> None:
+        """Send the history again that has the newest message, unless a newer one has come meanwhile.
+
+        With another id, as the peer leaves out what it has had.
+        """
+        self._resends = None
+        gid, newest = max(self._publishers.items(), key=lambda item: item[1].source, default=(b"", None))
+        if newest is not None and newest.latest <= withdrawn_at:
+            self._other_ids[gid] = hashlib.blake2b(self._id(gid), digest_size=PUBLISHER_ID_LENGTH).digest()
+            newest.taken = newest.first = 0
+            newest.settled = newest.exact
+            self._found()
+            self._silent.hear_again(gid)
 
     # --- depths
 
@@ -365,7 +427,7 @@ class Histories:
         samples = []
         for message, replayed in held:
             depth = self._depth_of(publisher, publisher.newest if many or publisher.exact else message.number)
-            samples.append(_sample(message, message.number, depth, replayed=replayed))
+            samples.append(self._sample(message, message.number, depth, replayed=replayed))
         if samples:
             self._emit(samples)
 
@@ -415,7 +477,3 @@ def note_taken(taken: dict[bytes, int], message: RawMessage) -> bool:
     before = taken.get(message.gid, 0)
     taken[message.gid] = max(before, message.number)
     return message.number > before or not message.number
-
-
-def _sample(message: RawMessage, number: int, depth: int, *, replayed: bool) -> Sample:
-    return Sample(HistoryHeader(publisher_id(message.gid), number, depth), message, replayed)

@@ -68,7 +68,6 @@ class RateLimit:
         self.switched: Callable[[], None] = lambda: None  # called whenever one of the next two has changed
         self.rate = self._max_rate = max_rate  # Hz, or 0 if all messages cross
         self.here = 0.0  # Hz that this side allows, or 0 for any
-        self.allowed = 0.0  # Hz that the rights of both sides allow: the lower rate, or 0 for any
         self._switched_at = self.rate, self.here
         self._there = self._there_before = self._profile = 0.0
         self._log = log
@@ -81,6 +80,11 @@ class RateLimit:
         if self.rate == self._profile:
             return "the session's profile (max_rate overrides it)"
         return "this side allows no more (allow)" if self.rate == self.here else "the other side allows no more"
+
+    @property
+    def own(self) -> float:
+        """Hz that this side lets cross, by its rights and its profile, or 0 for any."""
+        return _lowest(self.here, self._profile)
 
     def lowered(self, rate: float | None) -> float | None:
         """Return a rate (Hz) that is usual without the limit, or None if it is unknown, as it is with the limit."""
@@ -95,10 +99,13 @@ class RateLimit:
         self._max_rate = rate
         self._changed()
 
-    def set_profile_rate(self, rate: float) -> None:
-        if rate != self._profile:  # asked once a second
-            self._profile = rate
-            self._changed()
+    def set_profile_rate(self, rate: float) -> bool:
+        """Take the rate of the link's profile; return whether it is another one than before."""
+        if rate == self._profile:
+            return False
+        self._profile = rate
+        self._changed()
+        return True
 
     def allow_here(self, rate: float) -> bool:
         """Take the rate that this side's rights allow; return whether it is another one than before."""
@@ -118,8 +125,7 @@ class RateLimit:
             self._log(Level.INFO, EventCode.ROUTE_AMENDED, f"the other side allows {_figure(rate)}")
 
     def _changed(self) -> None:
-        self.allowed = _lowest(self.here, self._there)
-        rates = _lowest(self._max_rate, self.allowed, self._profile), self.here
+        rates = _lowest(self._max_rate, self.here, self._there, self._profile), self.here
         if rates != self._switched_at:
             self._switched_at = rates
             self.rate = rates[0]

@@ -5,6 +5,7 @@ The session may name the type, publishers have types, and the other side's graph
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
@@ -75,6 +76,7 @@ class Resolver:
         self._used = TypeVersion()
         self._publishers: Sequence[Endpoint] = ()
         self._nodes: frozenset[str] = frozenset()  # of the last publishers
+        self._moved = "", 0.0  # the topic that these publish now, and s since the epoch when that was first seen
 
     def update(self, publishers: Sequence[Endpoint]) -> None:
         """Take the topic's present publishers."""
@@ -145,12 +147,27 @@ class Resolver:
         if not publishers:
             return None
         if are_alike(topic, meant):
-            # The server writes a client's prefix itself.
-            prefixed = self._route.far_topic.endswith(topic) and topic.endswith(meant)
-            why = f" The server adds {topic.removesuffix(meant)}" if prefixed and self._route.far_topic != topic else ""
+            prefix = self._prefix()
+            why = f" The server adds {prefix}" if prefix and topic == prefix + meant else ""
             return Elsewhere(Cause.SIMILAR_NAME, f"did you mean {meant}?{why}")
         who = who_publish({each.node for each in publishers})
-        return Elsewhere(Cause.SIMILAR_NAME, f"{who} {meant}, the same type")
+        return Elsewhere(Cause.SIMILAR_NAME, f"{who} {meant}{self._since(meant)}, the same type")
+
+    def _prefix(self) -> str:
+        """Return what the server writes before the client's name of the topic, or an empty string."""
+        route = self._route
+        of_server, of_client = self._proposal.topic, route.far_topic
+        if not route.peer.is_client:
+            of_server, of_client = of_client, of_server
+        return of_server.removesuffix(of_client) if of_server.endswith(of_client) else ""
+
+    def _since(self, meant: str) -> str:
+        """Return since when the topic's publishers publish another one, or nothing if it never had any."""
+        if not self._nodes:
+            return ""
+        if self._moved[0] != meant:
+            self._moved = meant, self._context.wall()
+        return f" since {datetime.fromtimestamp(self._moved[1], UTC):%H:%M} UTC"
 
     def _on_other_side(self) -> Elsewhere:
         """Say that the direction may be wrong: in the entry that lists the topic, on whichever side it is."""

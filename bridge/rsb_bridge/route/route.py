@@ -560,7 +560,7 @@ class Route:
             from_peer=from_peer,
             since=wall - (now - self.judged.since(verdict, now)),
             arming=self.arming.snapshot(now, facts.on_end, facts.velocity) if self.arming.required else None,
-            allowed_rate=self.limit.allowed or None,
+            max_rate=self.limit.rate or None,
             pattern=self.pattern,
             messages_total=self.meter.count,
             max_age=self.age.max_age,

@@ -34,8 +34,7 @@ from rsb_bridge.route.topic_facts import SenderFacts
 from rsb_bridge.route.topic_flow import TopicFlow
 from rsb_bridge.route.topic_subscription import TopicSubscription
 from rsb_bridge.route.topic_verdict import OF_SENDER
-from rsb_bridge.wire.headers import publisher_id
-from rsb_bridge.wire.messages import Describe, Publishers, Ready
+from rsb_bridge.wire.messages import Describe, Limit, Publishers, Ready
 from rsb_bridge.wire.records import MOST_PUBLISHERS, ReceivedReport, SentReport
 
 if TYPE_CHECKING:
@@ -229,10 +228,8 @@ class Sender:
             return
         present = {}
         if (histories := self.subscription.histories) is not None:
-            gids = histories.forget_gone({endpoint.gid for endpoint in self.carried.endpoints})
-            depths = histories.depths()
-            ids = islice(map(publisher_id, gids), MOST_PUBLISHERS)
-            present = {each: depths.get(each, 0) for each in ids}
+            depths = histories.present({endpoint.gid for endpoint in self.carried.endpoints})
+            present = dict(islice(depths.items(), MOST_PUBLISHERS))
         told = Publishers(route=self.route.id, present=present, alive=self.subscription.alive)
         if told != self._told:
             self._told = told
@@ -329,7 +326,9 @@ class Sender:
             self.flow.left_out.judge(ledger, now)
 
     def act(self, now: float, crossing: Crossing) -> None:
-        self.route.limit.set_profile_rate((self.route.peer.profile.max_rate or 0.0) if self._profile_limits else 0.0)
+        profile_rate = (self.route.peer.profile.max_rate or 0.0) if self._profile_limits else 0.0
+        if self.route.limit.set_profile_rate(profile_rate) and self.route.id:
+            self.route.peer.send(Limit(route=self.route.id, max_rate=self.route.limit.own))
         self.flow.act(now, awaited=crossing.flows or self.facts.lacks_publisher(crossing))
         self.subscription.tick()
         if self.route.age.publishers.since is None and crossing.flows and not self.flow.is_latched:

@@ -100,6 +100,7 @@ class TopicSubscription:
                 self._probe,
                 self._path.emit,
                 self._found,
+                self._path.offer,
                 depth=0 if self._is_automatic else kept,
                 lifespan=spec.qos.lifespan,
                 known=known,

@@ -98,10 +98,10 @@ class ClientAdded(_ClientChange):
         name = self.listed.name
         current, in_file = self._present(), _client_in(self.path, name)
         if current is None or in_file is None:
-            raise CannotUndoError(f"client {name}: removed since; nothing to undo")
+            raise CannotUndoError(f"client {name}: removed meanwhile; nothing to undo")
         # Topics that were added to it since are no change of the client.
         if msgspec.structs.replace(current, topics=self.running.topics) != self.running or in_file != self.listed:
-            raise CannotUndoError(f"client {name}: changed since: to remove it, open the links (c)")
+            raise CannotUndoError(f"client {name}: changed meanwhile: to remove it, open the links (c)")
         lines = (
             f"removes {name} from the bridge and from {self.path.name}",
             "Its link closes at once, and it cannot connect again. Its key file stays.",
@@ -124,7 +124,7 @@ class ClientRemoved(_ClientChange):
     def undo(self, now: Snapshot, events: Sequence[Event]) -> Undo:
         name = self.listed.name
         if self._present() is not None or _client_in(self.path, name) is not None:
-            raise CannotUndoError(f"client {name}: added again since; nothing to undo")
+            raise CannotUndoError(f"client {name}: added again meanwhile; nothing to undo")
         # Without its key file, adding it would make a new key, which the robot does not have.
         if self.key_at is not None and not is_there(self.key_at):
             raise CannotUndoError(

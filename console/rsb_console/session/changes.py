@@ -107,14 +107,14 @@ class Change(ABC):
     def _entry(self, key: str, now: Snapshot, events: Sequence[Event]) -> Row:
         found = find_entry(now, key)
         if found is None:
-            raise self._refuse("removed since", events)
+            raise self._refuse("removed meanwhile", events)
         return found
 
     def _unchanged(self, key: str, expected: Topic, now: Snapshot, events: Sequence[Event]) -> Row:
         """Return the entry, unless somebody has changed it since."""
         found = self._entry(key, now, events)
         if differences := changes(expected, found.spec):
-            raise self._refuse(f"changed since ({', '.join(differences)})", events)
+            raise self._refuse(f"changed meanwhile ({', '.join(differences)})", events)
         return found
 
 
@@ -208,7 +208,7 @@ class Removed(Change):
             raise CannotUndoError(f"{self.topic}: {self.link} was removed; the topic is not added again")
         excepted = list(self._excepted(now))
         if self.pattern and not any(pattern.topic == self.pattern for _, _, pattern in excepted):
-            raise self._refuse(f"the pattern {self.pattern} that brought it was changed since", events)
+            raise self._refuse(f"the pattern {self.pattern} that brought it was changed meanwhile", events)
         topic = named_here(self.spec, now, self.link)
 
         async def act(engine: EngineApi) -> None:
@@ -259,10 +259,10 @@ class Paused(Change):
     def undo(self, now: Snapshot, events: Sequence[Event]) -> Undo:
         entry = self._entry(self.key, now, events)
         if entry.spec.paused != self.paused:
-            raise self._refuse(f"it was {'resumed' if self.paused else 'paused'} since", events)
+            raise self._refuse(f"it was {'resumed' if self.paused else 'paused'} meanwhile", events)
         # Taken back and done again by somebody else, it is theirs. This console's own later changes are undone already.
         if len({event.who for event in self._since(events)}) > 1:
-            raise self._refuse("somebody else has changed it since", events)
+            raise self._refuse("somebody else has changed it meanwhile", events)
         if self.mixed:
             raise CannotUndoError(
                 f"{self.topic}: some of its topics were paused before and some not: resume them one by one"

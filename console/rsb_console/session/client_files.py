@@ -364,8 +364,8 @@ def robot_file(session: Session, client: Client, address: str = "") -> str:
         at = next(number for number, line in enumerate(lines) if line.startswith("server_ip:"))
         lines[at] += f"   # {RobotFileText.ADDRESS_GUESSED()}"
     head = f"# {client.name}, a client of the server {session.name}. Its key file belongs in the same folder."
-    topics = "topics: []   # - {topic: /scan, direction: transmit}"
-    return "".join(f"{line}\n" for line in (head, *lines, topics))
+    topics = "# topics:", "#   - {topic: /scan, direction: transmit}"
+    return "".join(f"{line}\n" for line in (head, *lines, *topics))
 
 
 def own_address() -> str:

@@ -199,6 +199,7 @@ class Canvas:
         blocks: for each cell without dots, the index of its character in `BLOCKS`.
         styles: the index of each cell's style, row by row (`style`).
         backgrounds: the index of the style behind each cell, row by row.
+        fine: cells in each direction of a character of text.
     """
 
     ACROSS, DOWN = 2, 4
@@ -209,8 +210,8 @@ class Canvas:
     """A cell's quarters by their bits (upper left 1, upper right 2, lower left 4, lower right 8), and a dot."""
     A_DOT = 16
 
-    def __init__(self, width: int, height: int) -> None:
-        self.width, self.height = width, height
+    def __init__(self, width: int, height: int, fine: int = 1) -> None:
+        self.width, self.height, self.fine = width, height, fine
         self.dots = bytearray(width * height)
         self.blocks = bytearray(width * height)
         self.styles = bytearray(width * height)
@@ -218,6 +219,12 @@ class Canvas:
         self._line_dots = _LINE_DOTS
         self._characters: dict[int, str] = {}
         self._palette: dict[str, int] = {"": 0}
+
+    @classmethod
+    def of(cls, wish: Wish) -> Canvas:
+        """Return a canvas as fine as a wish for a map."""
+        fine = wish.allowed_fine
+        return cls(wish.width * fine, wish.height * fine, fine)
 
     def style(self, name: str) -> int:
         """Return the index of a style of `rsb_extras.pictures.picture.STYLES`, or of a colour ``#rrggbb``."""
@@ -259,28 +266,46 @@ class Canvas:
         """Write text over the dots, as much as fits. Characters that do not take one cell become U+FFFD."""
         if not 0 <= row < self.height:
             return
-        for at, character in enumerate(single_cells(sanitize_text(text)), column):
-            if 0 <= at < self.width:
+        shown = single_cells(sanitize_text(text))
+        self._clear_text(column, row, len(shown))
+        for number, character in enumerate(shown):
+            if 0 <= (at := column + number * self.fine) < self.width:
                 cell = row * self.width + at
                 self._characters[cell] = character
                 self.styles[cell] = self.style(style)
 
+    def _clear_text(self, column: int, row: int, length: int) -> None:
+        """Remove characters that reach into a text which begins at a cell; of a finer canvas, they have several."""
+        if (reach := self.fine - 1) and self._characters:
+            columns = range(max(0, column - reach), min(self.width, column + length * self.fine))
+            for each in range(max(0, row - reach), row + reach + 1):
+                for at in columns:
+                    self._characters.pop(each * self.width + at, None)
+
     def scale_bar(self, column: float) -> int:
-        """Draw a bar with its length at the lower left, for so many metres a column; return the column behind it."""
+        """Draw a bar with its length at the lower left, for so many metres a column.
+
+        Returns:
+            The number of characters up to its end.
+        """
         rough = column * self.width / 5
         power = 10 ** math.floor(math.log10(rough))
         length = next(each * power for each in (1, 2, 5, 10) if each * power >= rough)
-        bar = f"├{'─' * max(0, round(length / column) - 1)}┤ {length:g} m"
-        self.write(1, self.height - 1, bar, "axis")
+        bar = f"├{'─' * max(0, round(length / (column * self.fine)) - 1)}┤ {length:g} m"
+        self.write_below(1, bar, "axis")
         return 1 + len(bar)
+
+    def write_below(self, column: int, text: str, style: str) -> None:
+        """Write text into the last line, from a column of characters on."""
+        self.write(column * self.fine, self.height - self.fine, text, style)
 
     def characters(self) -> set[int]:
         """Return the cells that have text."""
         return {*self._characters}
 
-    def clear_row(self, row: int) -> None:
-        """Remove all from a row, the background too, so that text on it can be read."""
-        for cell in range(row * self.width, (row + 1) * self.width):
+    def clear_last_line(self) -> None:
+        """Remove all from it, the background too, so that text on it can be read."""
+        for cell in range((self.height - self.fine) * self.width, self.height * self.width):
             self.dots[cell] = self.blocks[cell] = self.styles[cell] = self.backgrounds[cell] = 0
             self._characters.pop(cell, None)
 
@@ -292,7 +317,7 @@ class Canvas:
             characters[cell] = character
         rows = ("".join(characters[row * self.width : (row + 1) * self.width]) for row in range(self.height))
         backgrounds = bytes(self.backgrounds) if any(self.backgrounds) else b""
-        return Cells(tuple(rows), bytes(self.styles), tuple(self._palette), scale, backgrounds)
+        return Cells(tuple(rows), bytes(self.styles), tuple(self._palette), scale, backgrounds, self.fine)
 
 
 def nested(message: Message, path: str) -> Value | None:

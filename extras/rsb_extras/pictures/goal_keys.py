@@ -6,6 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.wording import Wording
+from rsb_extras.pictures.cell_image import Marked
 from rsb_extras.pictures.goal_on_map import Goal
 from rsb_extras.pictures.picture_rows import Part, with_mark
 
@@ -56,13 +57,20 @@ class GoalKeys:
         fields, self.goal = self.goal.fields(), None
         return fields
 
-    def marked(self, rows: list[Row], scale: Scale, width: int) -> list[Row]:
-        """Return a map with it; on a map of another frame it ends, as its coordinates mean another place there."""
-        if self.goal is not None and self.goal.frame != scale.frame:
+    def mark(self, scale: Scale | None) -> Marked | None:
+        """Return its sign on a map; on a map of another frame it ends, as its coordinates mean another place there."""
+        if scale is None or self.goal is None:
+            return None
+        if self.goal.frame != scale.frame:
             self.goal = None
-        if self.goal is None:
+            return None
+        return Marked(*self.goal.cell(scale), self.goal.arrow)
+
+    def marked(self, rows: list[Row], scale: Scale | None, width: int) -> list[Row]:
+        """Return a map in characters with its sign."""
+        if (mark := self.mark(scale)) is None:
             return rows
-        return with_mark(rows, *self.goal.cell(scale), Part(self.goal.arrow, "goal"), width)
+        return with_mark(rows, mark.column, mark.row, Part(mark.sign, "goal"), width)
 
     def text(self) -> str:
         """Return where it is, and what the keys do, or an empty string."""

@@ -13,6 +13,7 @@ import math
 import re
 import secrets
 from importlib.util import find_spec
+from itertools import product
 from typing import TYPE_CHECKING, NamedTuple
 
 from textual.geometry import Region
@@ -32,6 +33,8 @@ BANDS = 8
 """Bands of an image at most: each band of sixels has a palette of its own, of up to 4 kB."""
 IDS = 2 * BANDS
 """Numbers of kitty's images: a band that comes has another one than the band in sight."""
+_WIDEST = 1000
+"""Pixels of an image in sixels. A wider one is missing in xterm, whose usual `maxGraphicSize` is 1000x1000."""
 USUAL_CELL = 10.0, 20.0
 """Pixels of a cell, for terminals that do not tell theirs: most fonts are twice as high as wide."""
 _CHUNK = 4096
@@ -51,6 +54,7 @@ class Band(NamedTuple):
         pixels: its content, to be compared.
         sequence: draws it at the cursor.
         image_id: kitty's number of it.
+        left: its first column, from the image's left edge.
     """
 
     top: int
@@ -59,6 +63,7 @@ class Band(NamedTuple):
     pixels: bytes
     sequence: str
     image_id: int
+    left: int = 0
 
     @property
     def range(self) -> range:
@@ -142,24 +147,24 @@ def bands_of(
     sheet = Image.new("RGB", sides, paper)
     sheet.paste(image)
     most = -(-rows // BANDS)
-    known = {(band.top, band.rows, band.columns, band.pixels): band for band in before}
+    pieces = -(-sheet.width // _WIDEST) if protocol == "sixel" else 1
+    known = {(band.top, band.left, band.rows, band.columns, band.pixels): band for band in before}
     used = {band.image_id for band in before}
     bands = []
-    for number, top in enumerate(range(0, rows, most)):
-        band_rows = min(most, rows - top)
+    for number, (top, left) in enumerate(product(range(0, rows, most), range(0, columns, -(-columns // pieces)))):
+        band_rows, band_columns = min(most, rows - top), min(-(-columns // pieces), columns - left)
         upper, lower = (round(row * sheet.height / rows) for row in (top, top + band_rows))
-        part = sheet.crop((0, upper, sheet.width, lower))
+        begin, end = (round(column * sheet.width / columns) for column in (left, left + band_columns))
+        part = sheet.crop((begin, upper, end, lower))
         content = part.tobytes()
-        band = known.get((top, band_rows, columns, content))
-        if band is None:
+        band = known.get((top, left, band_rows, band_columns, content))
+        if band is None and protocol == "sixel":
+            band = Band(top, band_rows, band_columns, content, sixels(part), 0, left)
+        elif band is None:
             # kitty takes the image of a number away as soon as another one of the same number begins to come.
             image_id = next(each for each in (first_id + number, first_id + BANDS + number) if each not in used)
-            way = (
-                sixels(part)
-                if protocol == "sixel"
-                else kitty(png(part, few_colours=few_colours), image_id, columns, band_rows)
-            )
-            band = Band(top, band_rows, columns, content, way, image_id)
+            sequence = kitty(png(part, few_colours=few_colours), image_id, band_columns, band_rows)
+            band = Band(top, band_rows, band_columns, content, sequence, image_id)
         bands.append(band)
     return bands
 
@@ -235,7 +240,7 @@ class Painter:
             if not band.is_under(covered):
                 self._shown[number] = band
                 if before.get(number) is not band or self._is_lost or number in self._overwritten:
-                    parts.append(f"\x1b[{at[1] + band.top + 1};{at[0] + 1}H{band.sequence}")
+                    parts.append(f"\x1b[{at[1] + band.top + 1};{at[0] + band.left + 1}H{band.sequence}")
         # After the new ones are in sight, so that nothing flickers.
         parts += [self._freed(band) for number, band in before.items() if self._shown.get(number) is not band]
         self._is_lost = False
@@ -252,16 +257,20 @@ class Painter:
         if self.protocol != "sixel":
             return []
         places = {
-            (band.top, band.rows, band.columns) for band in bands if not band.is_under(covered) and at == self._at
+            (band.top, band.left, band.rows, band.columns)
+            for band in bands
+            if not band.is_under(covered) and at == self._at
         }
         gone = {
-            number: band for number, band in self._shown.items() if (band.top, band.rows, band.columns) not in places
+            number: band
+            for number, band in self._shown.items()
+            if (band.top, band.left, band.rows, band.columns) not in places
         }
         for number in gone:
             del self._shown[number]
         x, y = self._at
         # In xterm, an image may reach a pixel into the next column.
-        return [Region(x, y + band.top, band.columns + 1, band.rows) for band in gone.values()]
+        return [Region(x + band.left, y + band.top, band.columns + 1, band.rows) for band in gone.values()]
 
     def taken_away(self) -> str:
         """Return what takes kitty's image away."""

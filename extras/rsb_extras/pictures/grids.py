@@ -37,7 +37,8 @@ _RAMP = ("#0000ff", "#3300cc", "#660099", "#990066", "#cc0033", "#ff0000")
 """Tints of low to high costs, as RViz has them."""
 _INSCRIBED_KIND = _FIRST_COST + len(_RAMP)
 _LETHAL_KIND, _OCCUPIED_KIND = _INSCRIBED_KIND + 1, _INSCRIBED_KIND + 2
-_TINTS = ("", "unknown", "free", *_RAMP, "#00ffff", "lethal", "occupied")
+INSCRIBED_TINT = "#00ffff"
+_TINTS = ("", "unknown", "free", *_RAMP, INSCRIBED_TINT, "lethal", "occupied")
 """By kind."""
 _QUARTERS = 2
 """Quarters of a cell in each direction."""
@@ -167,6 +168,11 @@ def ground(grids: Sequence[tuple[Grid, Transform]], sheet: Sheet, width: int, he
             over &= result != _OCCUPIED_KIND
         result = np.where(over, kinds, result)
     return result
+
+
+def has_inscribed(kinds: Kinds) -> bool:
+    """Whether a canvas shows where the robot's middle must not be, as it would hit an obstacle."""
+    return bool((kinds == _INSCRIBED_KIND).any())
 
 
 def _straight(grid: Grid, at: Transform, sheet: Sheet, shape: tuple[int, int]) -> Kinds:

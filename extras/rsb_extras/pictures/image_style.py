@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import asyncio
 from typing import TYPE_CHECKING
+
+import msgspec
 
 from rsb_bridge.model.wording import Wording
 from rsb_extras.pictures.blocks import image_rows, wished_pixels
-from rsb_extras.pictures.graphics import protocol_of
+from rsb_extras.pictures.cell_image import fine_for, image_of, is_drawn, styles_in
+from rsb_extras.pictures.graphics import USUAL_CELL, protocol_of
+from rsb_extras.pictures.picture import Cells, Pixels, sized
 
 if TYPE_CHECKING:
-    from rsb_extras.pictures.picture import Pixels, Wish
+    from rsb_extras.pictures.cell_image import Marked
+    from rsb_extras.pictures.picture import Series, Wish
     from rsb_extras.pictures.picture_pane import PicturePane
     from rsb_extras.pictures.picture_rows import Row
 
@@ -57,13 +63,34 @@ class ImageStyle:
         terminal = self._pane.terminal
         return not terminal.ascii_only and protocol_of(terminal.facts) != "" and self.strain < _IN_CHARACTERS
 
-    def pixels_of_a_cell(self) -> tuple[int, int]:
-        """Return how many pixels of an image have room in a character's cell, across and down."""
-        facts = self._pane.terminal.facts
+    @property
+    def _cell(self) -> tuple[float, float]:
+        """Pixels of a character, as far as the line takes them."""
+        across, down = self._pane.terminal.facts.cell or USUAL_CELL
+        return across / 2**self.strain, down / 2**self.strain
+
+    def fitted(self, wish: Wish) -> Wish:
+        """Return a wish for the pane's present size, as fine as the terminal shows it."""
+        size, facts = self._pane.size, self._pane.terminal.facts
         if self.shows_pixels and facts.cell is not None:
-            across, down = (round(each / 2**self.strain) for each in facts.cell)
-            return across, down
-        return wished_pixels(self._image_colours, sextants=facts.draws_sextants)
+            across, down = map(round, self._cell)
+        else:
+            across, down = wished_pixels(self._image_colours, sextants=facts.draws_sextants)
+        wish = sized(wish, size.width, size.height, across, down, facts.shape)
+        return msgspec.structs.replace(wish, fine=fine_for(self._cell) if self.shows_pixels else 1)
+
+    def is_image(self, content: object) -> bool:
+        """Whether a picture is shown as an image, in pixels or in blocks."""
+        return isinstance(content, Pixels) or (is_drawn(content) and (self.shows_pixels or isinstance(content, Cells)))
+
+    async def image(
+        self, content: Cells | Pixels | Series, wish: Wish, *, cursor: int | None, mark: Marked | None
+    ) -> Pixels:
+        """Return a picture as an image; one of a map or a plot has an operator's sign or the cursor on it."""
+        if isinstance(content, Pixels):
+            return content
+        inks, size = self._pane.inks(styles_in(content), self._cell), (wish.width, wish.height)
+        return await asyncio.to_thread(image_of, content, size, wish.shape, inks, cursor=cursor, mark=mark)
 
     def in_blocks(self, content: Pixels, wish: Wish) -> list[Row]:
         sextants = self._pane.terminal.facts.draws_sextants

@@ -11,7 +11,7 @@ import numpy as np
 from rsb_bridge.model.text import sanitize_text, single_cells
 from rsb_bridge.model.wording import Wording
 from rsb_extras.pictures.drawing import Canvas, Drawn, UndrawableError, View, elements, number, text
-from rsb_extras.pictures.grids import Grid, Sheet, ground, lay_under, read_grid
+from rsb_extras.pictures.grids import INSCRIBED_TINT, Grid, Sheet, ground, has_inscribed, lay_under, read_grid
 from rsb_extras.pictures.markers import Markers, draw_markers, points_of
 from rsb_extras.pictures.picture import TOPICS_AT_ONCE, Scale
 from rsb_extras.pictures.points import cloud_points, put_dots, scan_points
@@ -135,7 +135,8 @@ class MapView(View):
         extent = _extent(placed, [points_of(*each) for each in markers])
         if extent is None:
             raise UndrawableError(problem or f"nothing to draw in frame {target!r}")
-        canvas, paper = Canvas(wish.width, wish.height), _Paper(extent, wish)
+        canvas = Canvas.of(wish)
+        paper = _Paper(extent, wish, canvas)
         for _, layer, place in placed:
             _draw_points(canvas, paper, layer, place)
         draw_markers(canvas, markers, paper.dot, paper.dots_by_style)
@@ -146,14 +147,18 @@ class MapView(View):
                 _draw_pose(canvas, paper, place.after(layer.pose), layer.style)
         for place in robots.values():
             _draw_pose(canvas, paper, place, "robot")
+        legend = self._legend(placed, robots)
         grids = [(layer.grid, place) for _, layer, place in placed if layer.grid is not None]
         if grids:
-            lay_under(canvas, self._kinds(grids, paper, wish))
-        if canvas.height > _LOW:
-            canvas.clear_row(canvas.height - 1)
+            kinds = self._kinds(grids, paper, canvas)
+            lay_under(canvas, kinds)
+            if has_inscribed(kinds):  # a bright bar, which nobody should take for a goal
+                legend.append(("■", f"@{INSCRIBED_TINT}", "inscribed"))
+        if wish.height > _LOW:
+            canvas.clear_last_line()
         column = canvas.scale_bar(paper.metres * Canvas.ACROSS)
-        if canvas.height > _LOW:
-            _write_legend(canvas, column, self._legend(placed, robots))
+        if wish.height > _LOW:
+            _write_legend(canvas, column, legend)
         notes = [f"frame {target}", *(layer.note for _, layer, _ in placed if layer.note)]
         notes += [
             MapProblem.OLD(frame=frame, age=age) for frame in robots if (age := now - self._tree.oldest(frame)) > _LOST
@@ -197,9 +202,9 @@ class MapView(View):
                     found[frame] = place
         return found
 
-    def _kinds(self, grids: list[tuple[Grid, Transform]], paper: _Paper, wish: Wish) -> Kinds:
+    def _kinds(self, grids: list[tuple[Grid, Transform]], paper: _Paper, canvas: Canvas) -> Kinds:
         # The grids themselves: another one might get the id of one that is gone.
-        key = [(grid.kinds, place) for grid, place in grids], paper.sheet, (wish.width, wish.height)
+        key = [(grid.kinds, place) for grid, place in grids], paper.sheet, (canvas.width, canvas.height)
         if self._ground is not None:
             before, same_size = (
                 self._ground[0],
@@ -207,7 +212,7 @@ class MapView(View):
             )
             if same_size and all(a[0] is b[0] and a[1] == b[1] for a, b in zip(before[0], key[0], strict=True)):
                 return self._ground[1]
-        kinds = ground(grids, paper.sheet, wish.width, wish.height)
+        kinds = ground(grids, paper.sheet, canvas.width, canvas.height)
         self._ground = key, kinds
         return kinds
 
@@ -217,7 +222,8 @@ class MapView(View):
             if (place := self._tree.place(frame, target)) is not None:
                 x, y = paper.dots(np.array([place.x]), np.array([place.y]))
                 if len(x):
-                    canvas.write(int(x[0]) // Canvas.ACROSS + 1, int(y[0]) // Canvas.DOWN, f"·{frame}", "dim")
+                    row = int(y[0]) // Canvas.DOWN - canvas.fine // 2
+                    canvas.write(int(x[0]) // Canvas.ACROSS + canvas.fine, row, f"·{frame}", "dim")
 
     def _legend(self, placed: list[_Placed], robots: Iterable[str]) -> list[tuple[str, str, str]]:
         """Return signs, their styles, and what they stand for."""
@@ -236,8 +242,9 @@ _Placed = tuple[str, _Layer, Transform]
 
 def _write_legend(canvas: Canvas, column: int, legend: list[tuple[str, str, str]]) -> None:
     """Write as many entries as have room, with the last part of names if whole ones have none."""
+    width = canvas.width // canvas.fine
     names = [name for _, _, name in legend]
-    if sum(len(name) + 2 + _GAP for name in names) > canvas.width - column:
+    if sum(len(name) + 2 + _GAP for name in names) > width - column:
         last = [name.rpartition("/")[2] for name in names]
         # Of /local_costmap/costmap and /global_costmap/costmap, the first part says more.
         names = [
@@ -247,21 +254,22 @@ def _write_legend(canvas: Canvas, column: int, legend: list[tuple[str, str, str]
     for (sign, style, _), name in zip(legend, names, strict=True):
         shown = single_cells(sanitize_text(name))
         column += _GAP
-        if column + 2 + len(shown) > canvas.width:
-            canvas.write(column, canvas.height - 1, "…", "axis")
+        if column + 2 + len(shown) > width:
+            canvas.write_below(column, "…", "axis")
             return
-        canvas.write(column, canvas.height - 1, sign, style)
-        canvas.write(column + 2, canvas.height - 1, shown, "axis")
+        # A full block is a part of walls: on a finer canvas it is no sign of its own.
+        canvas.write_below(column, sign.replace("█", "■") if canvas.fine > 1 else sign, style)
+        canvas.write_below(column + 2, shown, "axis")
         column += 2 + len(shown)
 
 
 class _Paper:
     """The part of the plane that the canvas shows."""
 
-    def __init__(self, extent: tuple[float, float, float, float], wish: Wish) -> None:
+    def __init__(self, extent: tuple[float, float, float, float], wish: Wish, canvas: Canvas) -> None:
         left, bottom, right, top = extent
-        self._across, self._down = wish.width * Canvas.ACROSS, wish.height * Canvas.DOWN
-        above_legend = self._down - Canvas.DOWN * (wish.height > _LOW)
+        self._across, self._down = canvas.width * Canvas.ACROSS, canvas.height * Canvas.DOWN
+        above_legend = self._down - Canvas.DOWN * canvas.fine * (wish.height > _LOW)
         fitting = max(
             (right - left) / self._across, (top - bottom) / above_legend, 1e-6
         )  # a single point has no extent
@@ -396,8 +404,9 @@ def _draw_points(canvas: Canvas, paper: _Paper, layer: _Layer, place: Transform)
 
 def _draw_pose(canvas: Canvas, paper: _Paper, at: Transform, style: str) -> None:
     across, down = paper.dot(at.x, at.y)
-    length = 3 * Canvas.DOWN
+    length = 3 * Canvas.DOWN * canvas.fine
     tip = round(across + length * math.cos(at.yaw)), round(down - length * math.sin(at.yaw))
     canvas.line(across, down, *tip, style)
     mark = _ARROWS[round(at.yaw / (math.pi / 2)) % 4] if style == "robot" else _GOAL
-    canvas.write(across // Canvas.ACROSS, down // Canvas.DOWN, mark, style)
+    half = canvas.fine // 2
+    canvas.write(across // Canvas.ACROSS - half, down // Canvas.DOWN - half, mark, style)

@@ -19,6 +19,8 @@ MOST_COLUMNS, MOST_ROWS = 400, 150
 """Cells of the largest picture."""
 MOST_ACROSS, MOST_DOWN = 16, 32
 """Pixels of an image across and down a cell."""
+MOST_FINE = 4
+"""Cells of a map in each direction of a character, for viewers that draw it in pixels."""
 _FLATTEST, _HIGHEST = 0.5, 8.0
 """Heights of a cell over its width."""
 LONGEST_SIDE = 1920
@@ -66,6 +68,8 @@ class Wish(msgspec.Struct, frozen=True, omit_defaults=True):
         down: pixels of an image down a cell.
         shape: height of a cell over its width.
         match: text that shown log messages, nodes, frames or fields contain.
+        fine: cells of a map in each direction of a character, and columns of a plot by so many times, as far as they
+            stay within the largest picture.
     """
 
     width: Annotated[int, Meta(ge=1, le=MOST_COLUMNS)] = 80
@@ -86,6 +90,12 @@ class Wish(msgspec.Struct, frozen=True, omit_defaults=True):
     across: Annotated[int, Meta(ge=1, le=MOST_ACROSS)] = 1
     down: Annotated[int, Meta(ge=1, le=MOST_DOWN)] = 2
     shape: Annotated[float, Meta(ge=_FLATTEST, le=_HIGHEST)] = 2.0
+    fine: Annotated[int, Meta(ge=1, le=MOST_FINE)] = 1
+
+    @property
+    def allowed_fine(self) -> int:
+        """`fine`, or as much of it as the largest picture allows."""
+        return max(1, min(self.fine, MOST_COLUMNS // self.width, MOST_ROWS // self.height))
 
 
 def sized(wish: Wish, width: int, height: int, across: int, down: int, shape: float) -> Wish:
@@ -163,6 +173,7 @@ class Cells(msgspec.Struct, frozen=True, omit_defaults=True, tag="cells"):
             viewer mixes with its own background; ``@`` before one gives a character itself the colour of that tint.
         scale: the place of the cells in the world, if they are a map.
         backgrounds: for each character, as in `styles`, the index of the tint behind it, or empty for none at all.
+        fine: cells in each direction of a character of text, which are drawn as pixels if there are several.
     """
 
     rows: Annotated[tuple[Annotated[str, Meta(max_length=MOST_COLUMNS)], ...], Meta(max_length=MOST_ROWS)]
@@ -170,6 +181,7 @@ class Cells(msgspec.Struct, frozen=True, omit_defaults=True, tag="cells"):
     palette: Annotated[tuple[_Style, ...], Meta(max_length=256)] = ()
     scale: Scale | None = None
     backgrounds: bytes = b""
+    fine: Annotated[int, Meta(ge=1, le=MOST_FINE)] = 1
 
 
 STYLES = (

@@ -21,17 +21,19 @@ from textual.widgets._toast import Toast, ToastRack
 
 from rsb_console.screens.dialog import FullScreen
 from rsb_console.widgets.lines import LOOK_CLASSES, yield_gil
+from rsb_extras.pictures.cell_image import Inks
 from rsb_extras.pictures.graphics import USUAL_CELL, Extent, Painter, bands_of, frame_of
 from rsb_extras.pictures.paper import Paper
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from textual.events import Click
 
     from rsb_console.terminal.terminal_facts import TerminalFacts
     from rsb_console.terminal_app import TerminalApp
     from rsb_extras.pictures.graphics import Band
+    from rsb_extras.pictures.paper import Rgb
     from rsb_extras.pictures.picture import Pixels, Wish
     from rsb_extras.pictures.picture_rows import Row
 
@@ -248,6 +250,20 @@ class PicturePane(Widget, can_focus=True):
         assert own.background is not None
         assert own.foreground is not None
         return Paper(own.background.rgb, own.foreground.rgb)
+
+    def inks(self, styles: Iterable[str], cell: tuple[float, float]) -> Inks:
+        """Return the colours of these styles, for characters of so many pixels."""
+        paper = self._paper
+        return Inks(paper, {name: self._ink(name, paper) for name in styles}, cell)
+
+    def _ink(self, name: str, paper: Paper) -> Rgb:
+        style = self._style(name, "")
+        colour = style.color
+        ink = paper.foreground if colour is None or colour.is_default else colour.get_truecolor()
+        if not style.dim:
+            return ink[0], ink[1], ink[2]
+        red, green, blue = ((own + each) // 2 for own, each in zip(paper.background, ink, strict=True))
+        return red, green, blue
 
     def _style(self, name: str, background: str) -> Style:
         key = name, background

@@ -9,6 +9,8 @@ from importlib.util import find_spec
 from itertools import cycle, groupby
 from typing import TYPE_CHECKING, NamedTuple
 
+import msgspec
+
 from rsb_extras.pictures.picture import Series
 
 if TYPE_CHECKING:
@@ -17,7 +19,7 @@ if TYPE_CHECKING:
 _FEW = 16
 _COST = "·"
 """A cell with a cost, on a terminal without colours."""
-_CURVE_STYLES = ("curve", "goal", "ok", "scan", "strong", "path", "error", "dim")
+CURVE_STYLES = ("curve", "goal", "ok", "scan", "strong", "path", "error", "dim")
 """Those that all themes colour differently."""
 _DOT_BITS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
 _BRAILLE = 0x2800
@@ -59,7 +61,7 @@ def picture_rows(
         colours: the terminal's.
         cursor: column of a plot, from the left edge of its curves, whose values the legend shows, or None.
     """
-    return _plot(content, width, height, cursor) if isinstance(content, Series) else _cells(content, colours)
+    return plot_rows(content, width, height, cursor) if isinstance(content, Series) else _cells(content, colours)
 
 
 def with_mark(rows: list[Row], column: int, row: int, part: Part, width: int) -> list[Row]:
@@ -167,15 +169,44 @@ def _is_shown(tint: str, colours: int) -> bool:
     return tint != "" and (colours > _FEW or (colours == _FEW and tint.startswith("#")))
 
 
-def _plot(series: Series, width: int, height: int, cursor: int | None) -> list[Row]:
-    """Draw curves, axes, and a legend with the newest, lowest, mean and highest values; two columns fill one cell."""
-    styles_of = cycle(_CURVE_STYLES)
+class PlotFrame(NamedTuple):
+    """The part of a plot that has the curves.
+
+    Attributes:
+        columns: cells, behind those of the axis.
+        rows: cells.
+        low: value at its lower edge.
+        high: value at its upper edge.
+    """
+
+    columns: int
+    rows: int
+    low: float
+    high: float
+
+    def part(self, value: float) -> float:
+        """Return the distance of a value from the upper edge, in parts of the height."""
+        return (self.high - value) / (self.high - self.low)
+
+
+def plot_frame(series: Series, width: int, height: int) -> PlotFrame:
+    """Return the frame of a plot in so many cells; a pane may be smaller than its legend and axes."""
+    rows = max(1, height - len(series.curves) - 2)
+    return PlotFrame(max(1, width - AXIS), rows, *_value_range(series))
+
+
+def plot_rows(series: Series, width: int, height: int, cursor: int | None, *, with_curves: bool = True) -> list[Row]:
+    """Draw curves, axes, and a legend with the newest, lowest, mean and highest values; two columns fill one cell.
+
+    Args:
+        cursor: as in `picture_rows`.
+        with_curves: whether to draw the curves and the cursor, too.
+    """
+    styles_of = cycle(CURVE_STYLES)
     legend = [_legend(curve, next(styles_of), width, cursor) for curve in series.curves]
-    # A pane may be smaller than its legend and axes.
-    rows = max(1, height - len(legend) - 2)
-    across = max(1, width - AXIS)
-    low, high = _value_range(series)
-    dots, styles = _dots(series, across, rows, low, high)
+    across, rows, low, high = plot_frame(series, width, height)
+    drawn = series if with_curves else msgspec.structs.replace(series, curves=())
+    dots, styles = _dots(drawn, across, rows, low, high)
     ticks = _ticks(low, high, max(2, rows // _TICK_ROWS))
     labels = {_row_of_value(tick, low, high, rows): _number(tick) for tick in ticks}
     lines: list[Row] = []
@@ -185,7 +216,7 @@ def _plot(series: Series, width: int, height: int, cursor: int | None) -> list[R
         for column in range(across):
             style = styles[row][column]
             character = chr(_BRAILLE + dots[row][column]) if dots[row][column] else " "
-            if column == cursor and not dots[row][column]:
+            if with_curves and column == cursor and not dots[row][column]:
                 character, style = "│", "dim"
             # The first two parts are the label and the axis, which stay apart.
             if parts[-1].style == style and len(parts) > 2:
@@ -216,7 +247,7 @@ def _dots(series: Series, across: int, rows: int, low: float, high: float) -> tu
     styles = [[""] * across for _ in range(rows)]
     last = rows * _DOTS_DOWN - 1
     for at, curve in enumerate(series.curves):
-        style, before = _CURVE_STYLES[at % len(_CURVE_STYLES)], None
+        style, before = CURVE_STYLES[at % len(CURVE_STYLES)], None
         columns = list(zip(curve.lows, curve.highs, strict=False))
         for x in range(across * _DOTS_ACROSS):
             column = int(x * len(columns) / (across * _DOTS_ACROSS))

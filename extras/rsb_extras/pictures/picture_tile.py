@@ -32,7 +32,6 @@ from rsb_extras.pictures.picture import (
     Cells,
     Pixels,
     Series,
-    sized,
     split_field,
 )
 from rsb_extras.pictures.picture_files import SVG_SHAPE, formats_of, picture_file, squared, svg
@@ -105,8 +104,10 @@ class PictureTile(Tile):
         self._goal = GoalKeys()
         self._wish = msgspec.structs.replace(subject.wish, webp=reads_webp())
         self._viewed: Viewed | None = None
+        self._image: Pixels | None = None
+        """The image in sight."""
         self._blocks: list[Row] = []
-        """The image in sight in characters."""
+        """The same in characters."""
         self._came = time.monotonic()
         self._problem = ""
         self._unreadable = ""
@@ -141,10 +142,13 @@ class PictureTile(Tile):
         return [*keys, *self.robot_keys(), *_KEYS]
 
     def fit(self) -> None:
-        size, shape = self.size, self.terminal.facts.shape
-        self._take(sized(self._wish, size.width, size.height, *self._look.pixels_of_a_cell(), shape))
-        if isinstance(self.content, Pixels):
-            self.cover_changed()  # the picture in sight, in the new size
+        self._take(self._look.fitted(self._wish))
+        self._redraw()  # the picture in sight, in the new size
+
+    def _redraw(self) -> None:
+        """Draw the picture in sight once more, as the operator or the terminal has changed something."""
+        if self._look.is_image(self.content):
+            self.cover_changed()
         else:
             self._draw()
 
@@ -196,12 +200,14 @@ class PictureTile(Tile):
         """Show the newest picture; an image is drawn on a thread, so that keys do not wait for it."""
         # One after the other: of two threads, the one with the former picture or size may be the last.
         async with self._showing:
-            content, self._unreadable = self.content, ""
-            if isinstance(content, Pixels):
-                blocks = partial(self._look.in_blocks, content, self._wish)
+            content, wish, self._unreadable = self.content, self._wish, ""
+            if content is not None and self._look.is_image(content):
+                mark = self._goal.mark(self._scale)
+                self._image = await self._look.image(content, wish, cursor=self._cursor, mark=mark)
+                blocks = partial(self._look.in_blocks, self._image, wish)
                 try:
                     if self._look.shows_pixels:
-                        await self.show_image(content, self._wish, blocks, few_colours=self._look.strain > 0)
+                        await self.show_image(self._image, wish, blocks, few_colours=self._look.strain > 0)
                     else:
                         self._blocks = await asyncio.to_thread(blocks)
                 except UnreadableError as error:
@@ -217,15 +223,15 @@ class PictureTile(Tile):
             return
         content = self.content
         rows: list[Row] = []
-        if isinstance(content, Pixels):
+        is_image = self._look.is_image(content)
+        if is_image:
             rows = self._blocks
-        elif content is not None:
+        elif isinstance(content, Cells | Series):
             rows = picture_rows(
                 content, self._wish.width, self._wish.height, colours=self._look.colours, cursor=self._cursor
             )
-            if (scale := self._scale) is not None:
-                rows = self._goal.marked(rows, scale, self._wish.width)
-        if not (isinstance(content, Pixels) and self._look.shows_pixels) or self._unreadable:
+            rows = self._goal.marked(rows, self._scale, self._wish.width)
+        if not (is_image and self._look.shows_pixels) or self._unreadable:
             self.show(rows or self._reason())
         self._entitle()
 
@@ -309,12 +315,12 @@ class PictureTile(Tile):
         columns, rows = round(right / _PAN), round(-up / _PAN)
         if self._goal.goal is not None and (scale := self._scale) is not None:
             self._goal.move(scale, columns, rows)
-            self._draw()
+            self._redraw()
         elif isinstance(content, Series):
             last = max(0, self._wish.width - AXIS - 1)
             at = last if self._cursor is None else self._cursor + columns
             self._cursor = max(0, min(last, at))
-            self._draw()
+            self._redraw()
         else:
             self._take(msgspec.structs.replace(self._wish, x=self._wish.x + right, y=self._wish.y + up))
 
@@ -336,14 +342,17 @@ class PictureTile(Tile):
 
     @property
     def _scale(self) -> Scale | None:
+        """The place of the map in the world, by characters."""
         content = self.content
-        return content.scale if isinstance(content, Cells) else None
+        if not isinstance(content, Cells) or (scale := content.scale) is None:
+            return None
+        return msgspec.structs.replace(scale, column=scale.column * content.fine, row=scale.row * content.fine)
 
     def drop_goal(self) -> bool:
         """Drop the goal, and return whether there was one."""
         had, self._goal.goal = self._goal.goal is not None, None
         if had:
-            self._draw()
+            self._redraw()
         return had
 
     def action_goal(self) -> None:
@@ -354,20 +363,20 @@ class PictureTile(Tile):
             self.notify(ViewText.NO_MAP(), severity="warning", markup=False)
             return
         self._goal.begin(scale, self._wish.width, self._wish.height)
-        self._draw()
+        self._redraw()
 
     def on_picture_pane_clicked(self, event: Tile.Clicked) -> None:
         """Put the goal where the operator clicks."""
-        if (scale := self._scale) is not None:
+        if self._goal.goal is not None and (scale := self._scale) is not None:
             self._goal.put(scale, event.column, event.row)
-            self._draw()
+            self._redraw()
 
     def action_place(self) -> None:
         """Go on to the goal's heading, and then to the form that publishes it."""
         if self._goal.goal is None:
             return
         fields = self._goal.go_on()
-        self._draw()
+        self._redraw()
         if fields:
             self._publish(fields)
 
@@ -395,7 +404,9 @@ class PictureTile(Tile):
             self.notify(ViewText.NO_PICTURE(), markup=False)
             return
         drawn = drawing = None
-        if isinstance(content, Pixels):
+        if isinstance(content, Cells) and content.fine > 1 and self._image is not None:
+            content = self._image
+        elif isinstance(content, Pixels):
             drawn, content = content, await self._source.image_in_full(self._topics, self._wish) or content
         try:
             if drawn is not None:

@@ -15,6 +15,7 @@ from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.wording import Wording
 from rsb_extras.pictures.drawing import Drawn, UndrawableError, View, first_values
 from rsb_extras.pictures.picture import (
+    MOST_COLUMNS,
     MOST_NUMBERS,
     MOST_VALUE,
     TOPICS_AT_ONCE,
@@ -140,7 +141,7 @@ class PlotView(View):
         self._chosen = wish.fields
         if not self._newest:
             return Drawn()
-        columns = _COLUMNS * wish.width
+        columns = min(_COLUMNS * wish.width * wish.fine, _COLUMNS * MOST_COLUMNS)
         step, start = wish.seconds / columns, self._newest - wish.seconds
         plotted = self._plotted(wish)
         curves = tuple(_curve(self._name(*key), self._tracks[key], start, step, columns) for key in plotted)

@@ -142,10 +142,10 @@ class PointsView(View):
             return Drawn()
         if not len(points.x):
             raise UndrawableError(PointsProblem.NO_POINTS())
-        canvas = Canvas(wish.width, wish.height)
-        metres = self._metres(points, wish)
+        canvas = Canvas.of(wish)
+        metres = self._metres(points, wish, canvas)
         tilt = math.radians(wish.tilt)
-        width, height = wish.width * Canvas.ACROSS, wish.height * Canvas.DOWN
+        width, height = canvas.width * Canvas.ACROSS, canvas.height * Canvas.DOWN
         with np.errstate(all="ignore"):
             ahead = points.x * math.cos(tilt) + points.z * math.sin(tilt)
             depth = points.z * math.cos(tilt) - points.x * math.sin(tilt)
@@ -155,11 +155,11 @@ class PointsView(View):
         values, kind = _values(points, wish)
         order = np.argsort(depth[inside], kind="stable")  # the highest is drawn last
         put_values(canvas, across[inside][order], down[inside][order], values[inside][order])
-        middle_column = round(wish.width / 2 - wish.x * wish.width)
-        middle_row = round(wish.height / 2 + wish.y * wish.height)
+        middle_column = round(canvas.width / 2 - wish.x * canvas.width)
+        middle_row = round(canvas.height / 2 + wish.y * canvas.height)
         if not tilt:
             _rings(canvas, middle_column, middle_row, metres)
-        canvas.write(middle_column, middle_row, "▲", "robot")
+        canvas.write(middle_column - canvas.fine // 2, middle_row - canvas.fine // 2, "▲", "robot")
         low, high = (float(each) for each in (values.min(), values.max()))
         notes = [
             f"{points.total:,} points",
@@ -168,12 +168,12 @@ class PointsView(View):
         ]
         return Drawn(canvas.cells(), tuple(note for note in notes if note))
 
-    def _metres(self, points: Points, wish: Wish) -> float:
+    def _metres(self, points: Points, wish: Wish, canvas: Canvas) -> float:
         """Return the metres of a dot. They change only if the surroundings do, so that the picture stands still."""
         distance = float(np.percentile(np.hypot(points.x, points.y), _FAR))
         if self._reach is None or not 0.5 < distance / self._reach <= 1.05:
             self._reach = max(_LEAST_SPAN, distance * 1.05)
-        dots = min(wish.width * Canvas.ACROSS, wish.height * Canvas.DOWN) / 2
+        dots = min(canvas.width * Canvas.ACROSS, canvas.height * Canvas.DOWN) / 2
         return self._reach / dots / wish.zoom
 
 

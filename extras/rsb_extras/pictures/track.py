@@ -60,18 +60,20 @@ class TrackView(View):
             raise UndrawableError(TrackProblem.NO_FIX())
         points = [_metres(self._positions[-1], each) for each in self._positions]
         span = max(_LEAST_SPAN, *(max(abs(x), abs(y)) for x, y in points))
-        canvas = Canvas(wish.width, wish.height)
-        dot = span * 2.1 / min(wish.width * Canvas.ACROSS, wish.height * Canvas.DOWN) / wish.zoom
-        middle_x = round(wish.width * Canvas.ACROSS * (0.5 - wish.x))
-        middle_y = round(wish.height * Canvas.DOWN * (0.5 + wish.y))
+        canvas = Canvas.of(wish)
+        width, height = canvas.width * Canvas.ACROSS, canvas.height * Canvas.DOWN
+        dot = span * 2.1 / min(width, height) / wish.zoom
+        middle_x = round(width * (0.5 - wish.x))
+        middle_y = round(height * (0.5 + wish.y))
         dots = [(middle_x + round(x / dot), middle_y - round(y / dot)) for x, y in points]
         for start, end in itertools.pairwise(dots):
             canvas.line(*start, *end, "path")
         if self._deviation:
             _circle(canvas, middle_x, middle_y, self._deviation / dot)
-        canvas.write(middle_x // Canvas.ACROSS, middle_y // Canvas.DOWN, "◆", "robot")
+        half = canvas.fine // 2
+        canvas.write(middle_x // Canvas.ACROSS - half, middle_y // Canvas.DOWN - half, "◆", "robot")
         canvas.scale_bar(dot * Canvas.ACROSS)
-        canvas.write(canvas.width - 2, 0, "N", "axis")
+        canvas.write(canvas.width - 2 * canvas.fine, 0, "N", "axis")
         about = [self._note, f"± {self._deviation:.2g} m" if self._deviation else "", self._speed()]
         return Drawn(canvas.cells(), tuple(filter(None, about)))
 

@@ -39,7 +39,7 @@ _FULL = 256
 """Light with which a colour stays as it is."""
 _ALONG_X, _ALONG_Y = 0.86, 1.0
 """Light of sides, by their direction: so that corners show."""
-_SHINE = {"window", "screen", "goal"}
+_SHINE = {"window", "screen"}
 _WALL_EDGES = edges_of(WALLS)
 _GOAL_WIDTH, _GOAL_HEIGHT = 0.06, 1.0
 

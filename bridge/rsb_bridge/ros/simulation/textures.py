@@ -241,13 +241,13 @@ _LOOKS: dict[str, Callable[[], _Image]] = {
     "dock": lambda: np.where(
         (np.abs(_row - 0.4) < 0.12)[:, :, None], np.array((96, 240, 130)), _plain((52, 56, 60), 2)
     ),
-    "goal": lambda: _plain((80, 255, 150), 0),
+    "goal": lambda: _stripes((206, 46, 40), _WHITE),  # a surveyor's pole
 }
 TOPS: dict[str, _Colour] = {
     "wood": (170, 120, 76), "workbench": (150, 116, 80), "cupboards": (92, 88, 86), "sofa": (78, 124, 142),
     "sofa back": (66, 108, 126), "stool": (232, 150, 74), "chair": (66, 88, 146), "bed": (108, 134, 184),
     "pillow": (242, 240, 236), "blue crate": (78, 124, 190), "orange crate": (238, 146, 66), "dock": (66, 72, 76),
-    "pot": (84, 60, 44), "goal": (80, 255, 150),
+    "pot": (84, 60, 44), "goal": (206, 46, 40),
 }  # fmt: skip
 """Colours of what is seen from above, or _DARK_WOOD."""
 

@@ -88,6 +88,18 @@ def test_sixels_select_each_colour_that_they_define() -> None:
     assert band.sequence.endswith("\x1b\\")
 
 
+def test_wide_sixels_are_in_pieces_that_xterm_takes() -> None:
+    pixels = noise(300, 30)
+    bands = bands_of(pixels, frame_of(pixels, wish(150, 10)), _CELL, "sixel", 1, PAPER)
+    assert {(band.left, band.columns) for band in bands} == {(0, 75), (75, 75)}
+    widths = [int(re.findall(r'"1;1;(\d+);', band.sequence)[0]) for band in bands]
+    assert set(widths) == {750}
+    drawn = Painter("sixel").painted(bands, (2, 3), ())
+    assert re.findall(r"\x1b\[(\d+);(\d+)H", drawn)[:2] == [("4", "3"), ("4", "78")]
+    (kitty, *_) = bands_of(pixels, frame_of(pixels, wish(150, 10)), _CELL, "kitty", 1, PAPER)
+    assert kitty.columns == 150
+
+
 def changed(pixels: Pixels, row: int) -> Pixels:
     """Return an image with another row of cells."""
     line = 3 * pixels.width * 20

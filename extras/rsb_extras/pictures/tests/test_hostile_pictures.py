@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.cells import cell_len
 
+from rsb_extras.pictures.drawing import Canvas
 from rsb_extras.pictures.goal_on_map import Goal
 from rsb_extras.pictures.map_view import _Paper
 from rsb_extras.pictures.picture import (
@@ -89,7 +90,8 @@ def test_each_place_of_a_scale_has_a_cell(name: str, value: float) -> None:
 @pytest.mark.parametrize("zoom", [0.01, 1000.0])
 def test_widest_and_nearest_view_have_scale(zoom: float) -> None:
     for extent in ((-1e7, -1e7, 1e7, 1e7), (0.0, 0.0, 0.0, 0.0)):
-        scale = _Paper(extent, Wish(zoom=zoom, x=1e9, y=-1e9)).scale("map")
+        wish = Wish(zoom=zoom, x=1e9, y=-1e9)
+        scale = _Paper(extent, wish, Canvas.of(wish)).scale("map")
         decode_picture(encoded(Cells(("x",), scale=scale)))
         assert with_mark([(Part("x"),)], *Goal("map", -1e7, 1e7).cell(scale), Part("X"), 80)
 

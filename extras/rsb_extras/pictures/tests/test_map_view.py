@@ -245,6 +245,14 @@ def test_costs_are_told_by_topic_or_values() -> None:
     assert {"lethal", "#00ffff", "#0000ff", "#ff0000"} <= costs(values, "/anything")
 
 
+@pytest.mark.parametrize(("cost", "named"), [(99, True), (90, False)])
+def test_bright_band_beside_obstacle_is_named(cost: int, named: bool) -> None:
+    message = grid()
+    message.data = [0] * 5000 + [cost] * 1000 + [100] * 100 + [0] * 3900
+    wish = Wish(width=100, height=20)
+    assert ("■ inscribed" in cells_of(picture(message, wish=wish)).rows[-1]) == named
+
+
 def test_costs_leave_walls_of_map_in_sight() -> None:
     wall, cost = grid(), grid()
     cost.data = [0] * 5000 + [100] * 5000

@@ -23,7 +23,7 @@ from rsb_console.app import ConsoleApp
 from rsb_console.terminal.terminal_line import TerminalLine
 from rsb_extras.driving.drive_screen import DriveScreen
 from rsb_extras.pictures.graphics import BANDS
-from rsb_extras.pictures.picture import Pixels
+from rsb_extras.pictures.picture import Cells, Curve, Pixels, Scale, Series
 from rsb_extras.pictures.tests import samples
 from rsb_extras.pictures.tests.looking_engine import LookingEngine
 from rsb_extras.pictures.tests.test_view_screen import comes, engine_of, looks, opened, viewed
@@ -380,3 +380,51 @@ async def test_held_image_keeps_proportions_in_another_size(app: ConsoleApp, pil
             return is_right and (max(wide) == pane.width or high == pane.height)
 
         await until(pilot, fits, f"the image in {size} of {cell}")
+
+
+def whole_map(app: ConsoleApp) -> Cells:
+    """Return a map that fills the pane, three cells to a character."""
+    width, height = pane_of(app).size
+    return Cells(("⣿" * 3 * width,) * 3 * height, scale=Scale("map", 0.0, 3.0, 0.5, 0.5), fine=3)
+
+
+PLOT = Series(0.0, 1.0, (Curve("x", (0.0, 1.0, 0.0), (0.5, 1.0, 0.0), 0.0, 0.5),))
+
+
+@on_list
+@pytest.mark.parametrize("kind", ["map", "plot"])
+async def test_maps_and_plots_are_images(app: ConsoleApp, pilot: Pilot[None], kind: str) -> None:
+    written = await in_pixels(pilot)
+    wish = await comes(pilot, viewed(PLOT if kind == "plot" else whole_map(app)))
+    assert wish.fine == 3
+    await until(pilot, lambda: len(written.shown()) == bands(app), "the image")
+    assert not any(row.strip() for row in drawn(app))
+    before = len(written.text)
+    await pilot.press("left" if kind == "plot" else "g")  # a cursor, or a goal
+    await until(pilot, lambda: len(written.text) > before and len(written.shown()) == bands(app), "a part is new")
+    await pilot.press("escape")
+
+
+@on_list
+async def test_goal_moves_by_characters_of_map_in_pixels(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await in_pixels(pilot)
+    await comes(pilot, viewed(whole_map(app)))
+    await pilot.press("g")
+    await until(pilot, lambda: "GOAL at" in title(app), "a goal")
+    before = title(app)
+    await pilot.press("right")
+    await until(pilot, lambda: title(app) != before, "another place")
+    places = [float(re.findall(r"GOAL at (\S+),", each)[0]) for each in (before, title(app))]
+    assert places[1] - places[0] == pytest.approx(3 * 0.5)
+
+
+@on_list
+async def test_terminal_without_pixels_asks_for_no_finer_map(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await opened(pilot)
+    wish = await comes(pilot, viewed(PLOT))
+    assert wish.fine == 1
+    await until(pilot, lambda: any("┤" in row for row in drawn(app)), "the plot in characters")
+
+
+def title(app: ConsoleApp) -> str:
+    return str(pane_of(app).border_title)
