@@ -115,7 +115,7 @@ class Peer(Protocol):
     def suspended_since(self) -> float | None:
         """When (s) its connection was lost, if its association lives on without one, or None."""
 
-    def send(self, message: ControlMessageBase) -> None:
+    def send(self, message: ControlMessageBase) -> object:
         """Send a control message; without a connection, nothing happens."""
 
     def shared_port(self) -> int:
