@@ -212,7 +212,7 @@ class ReceiptCounter:
 class ReceiptsOwner(Protocol):
     """The connection that sends receipts, and measures how long its messages take."""
 
-    def send_receipts(self, receipts: Receipts) -> None: ...
+    def send_receipts(self, receipts: Receipts) -> object: ...
 
     def ping(self) -> float:
         """Return the shortest ping, or 0 if it is unknown."""
