@@ -32,9 +32,9 @@ def test_snapshots_keep_verdict_until_change(
 ) -> None:
     judged: list[Crossing] = []
 
-    def counted(half: SenderFacts, crossing: Crossing, rules: Any) -> Verdict:
+    def counted(half: SenderFacts, crossing: Crossing, rules: Any, **options: bool) -> Verdict:
         judged.append(crossing)
-        return judge(half, crossing, rules)
+        return judge(half, crossing, rules, **options)
 
     replaced.JUDGE.set(monkeypatch, counted)
     sender = half_of(Sender, make_context(), Topic("/scan", "transmit"))

@@ -240,7 +240,7 @@ class Route:
             peer=FakePeer(),
             meter=self.meter,
             arming=SimpleNamespace(required=False),
-            proposal=SimpleNamespace(qos=None),
+            proposal=SimpleNamespace(qos=None, express=False),
             log=lambda *_: pytest.fail("the subscription did not fail"),
         )
         loop_filter: Any = SimpleNamespace(alive_left_out=lambda qos: 0)
