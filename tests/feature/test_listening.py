@@ -73,8 +73,8 @@ def test_attached_console_tells_only_of_what_happens_meanwhile(
         await until(pilot, lambda: listening.snapshots, "a snapshot")
         client.add_topic(Topic("/more", "transmit", type="std_msgs/msg/String")).result(60)
         await until(pilot, lambda: any("/more" in each.text for each in listening.events), "an event")
+        await until(pilot, lambda: any(each.topic == "/more" for each in listening.snapshots[-1].routes), "the topic")
 
     drive(app, steps)
     assert older
     assert older.isdisjoint(each.number for each in listening.events)
-    assert any(route.topic == "/more" for route in listening.snapshots[-1].routes)
