@@ -28,18 +28,22 @@ def known(buffer: roswell.TfBuffer) -> list[str]:
     return [frame for frame in FRAMES if buffer.can_transform("base", frame)]
 
 
+def wait(condition) -> None:
+    deadline = time.monotonic() + 60
+    while not condition() and time.monotonic() < deadline:
+        time.sleep(0.05)
+
+
 with roswell.Node("robot", domain=84) as robot:
     own = robot.tf_buffer()
     for count, frame in enumerate(FRAMES, 1):
         own.broadcast("base", frame, HERE, static=True)
-        while len(known(own)) < count:
-            time.sleep(0.05)
+        wait(lambda: len(known(own)) >= count)
         time.sleep(2)
     print("known to the one that publishes:", *known(own))
     with roswell.Node("late", domain=84) as late:
         later = late.tf_buffer()
-        while not known(later):
-            time.sleep(0.05)
+        wait(lambda: known(later))
         time.sleep(5)
         print("known to one that comes later:", *known(later))
 PYTHON

@@ -2,7 +2,7 @@
 # Points of an opaque colour are black, or left out as broken.
 #
 # pointcloudkit 0.1.0 and pointcloud2 0.6.0, from PyPI; pypcd4 1.5.1 to compare with. PCL packs a colour into the four bytes
-# of a float. Its alpha is 255 there, so the float is NaN as soon as red is 128 or more. pointcloudkit makes 0 of NaN before
+# of a float. Its alpha is 255 there, so the float is NaN from red 128 on (infinite, if green and blue are 0). pointcloudkit makes 0 of NaN before
 # it takes the float apart. `read_points(cloud, skip_nans=True)` leaves out points with NaN in any field, not in x, y and
 # z alone. Ask it for `field_names=["x", "y", "z"]`, or keep the colour as an integer (type U).
 set -euo pipefail

@@ -1,6 +1,7 @@
 """One registry: keys, footer, help and palette agree, and nothing is beyond reach."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,7 @@ from textual.screen import Screen
 from rsb_bridge.model.commands import Effect
 from rsb_bridge.model.snapshot import ArmingSnapshot, State
 from rsb_console.actions.action import Group
-from rsb_console.actions.all_actions import ACTIONS, BY_ID, KEYS_ON_SCREENS
+from rsb_console.actions.all_actions import ACTIONS, BY_ID, KEYS_ON_SCREENS, bindings
 from rsb_console.app import ConsoleApp
 from rsb_console.preferences import PreferenceError, PreferenceProblem, load_keymap, split_keys
 from rsb_console.screens.dialog import ConfirmScreen
@@ -247,3 +248,9 @@ async def test_readonly_takes_away_whatever_changes_something(app: ConsoleApp, p
 @on_main((120, 36), (40, 15), landmark="? help  q quit")
 async def test_the_footer_always_ends_with_help_and_quit(app: ConsoleApp, pilot: Pilot[None]) -> None:
     assert text(app).splitlines()[-1].rstrip().endswith("? help  q quit")
+
+
+def test_action_whose_keys_are_taken_binds_none() -> None:
+    """A feature's key may be another's: Textual refuses a binding without a key."""
+    bare = replace(BY_ID["help"], keys="")
+    assert bindings(bare.group, actions=(bare,)) == []

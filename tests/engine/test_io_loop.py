@@ -13,7 +13,7 @@ from functools import partial
 from typing import Any
 
 import pytest
-from tests.support import replaced
+from tests.support import constants, replaced
 from tests.support.bridge import Bridge, carries, heard, protocol_of, settled
 from tests.support.domain import Domain, text
 from tests.support.inside import inside
@@ -387,7 +387,7 @@ def test_one_turn_is_handed_on_at_once(loop: IoLoop) -> None:
     queue = RosToLoopQueue(loop, loop.do_now, turns)
     with in_a_callback(loop):
         pass
-    turns.gathers = True
+    turns.gathering = threading.get_ident()
     queue.put(received, [1])
     queue.put(received, [2])
     assert received.numbers == []
@@ -397,3 +397,28 @@ def test_one_turn_is_handed_on_at_once(loop: IoLoop) -> None:
     assert received.numbers == [1, 2, 3]
     turns.gathered()
     eventually(lambda: received.numbers == [1, 2, 3, 4])
+
+
+def test_other_thread_hands_on_by_itself(loop: IoLoop) -> None:
+    """It may put something while the ROS thread gathers, which then knows nothing of it."""
+    turns, received = RosTurns(), Numbers()
+    queue = RosToLoopQueue(loop, loop.do_now, turns)
+    turns.gathering = threading.get_ident()
+    thread = threading.Thread(target=queue.put, args=(received, [1]))
+    thread.start()
+    thread.join()
+    eventually(lambda: received.numbers == [1])
+
+
+def test_turn_with_more_than_may_wait_is_handed_on_before_its_end(
+    loop: IoLoop, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    constants.ROS_BACKLOG.set(monkeypatch, 2)
+    turns, received = RosTurns(), Numbers()
+    queue = RosToLoopQueue(loop, loop.do_now, turns)
+    turns.gathering = threading.get_ident()
+    queue.put(received, [1])
+    queue.put(received, [2])
+    assert received.numbers == []
+    queue.put(received, [3])
+    eventually(lambda: received.numbers == [1, 2, 3])

@@ -330,7 +330,9 @@ class Bridge:
         def subscribe(on_failure: OnFailure) -> Subscription:
             # A bridge needs no types: without std_msgs, the topic works nevertheless.
             type_hash = context.ros.installed_hash(STRING) or STRING_HASH
-            return context.ros.subscribe(TopicSpec(topic, STRING, type_hash, Qos()), sink, None, on_failure)
+            return context.ros.subscribe(
+                TopicSpec(topic, STRING, type_hash, Qos()), sink, None, on_failure, express=True
+            )
 
         def changed() -> None:
             if watch.failure:

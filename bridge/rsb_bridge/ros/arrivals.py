@@ -242,7 +242,8 @@ class EventArrivals:
         return descriptor
 
     def _tell_at_once(self, descriptor: int) -> None:
-        with contextlib.suppress(FileExistsError):  # another endpoint that shares it is express, too
+        # Another endpoint that shares it may be express, too; and without room for it, it only waits with the others.
+        with contextlib.suppress(OSError):
             self._express.register(descriptor, _TOLD_ONCE)
 
 

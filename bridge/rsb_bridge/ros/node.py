@@ -378,7 +378,7 @@ class RosNode:
                     turns.turned()
                 if addresses:
                     pacing.turned(time.monotonic())
-                    turns.gathers = len(addresses) > 1
+                    turns.gathering = threading.get_ident() if len(addresses) > 1 else 0
                 try:
                     for address in addresses:
                         # A sink of this turn may have closed others, or stopped the node.
@@ -389,7 +389,7 @@ class RosNode:
                         if after is not None:
                             arrivals.look_again(address, after)
                 finally:
-                    if turns.gathers:
+                    if turns.gathering:
                         turns.gathered()
                 if graph_changed:
                     self._on_graph_change()

@@ -65,7 +65,7 @@ class ParameterEvents:
             def failed(error: RosError) -> None:
                 self._call(lambda: self._failed(key, shared, error))
 
-            shared.subscription = self._ros.subscribe(topic, shared.receive, link, failed)
+            shared.subscription = self._ros.subscribe(topic, shared.receive, link, failed, express=True)
             self._shared[key] = shared
         listener = _Listener(node, sink, on_failure)
         shared.listen((*shared.listeners, listener))

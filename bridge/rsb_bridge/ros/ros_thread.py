@@ -49,7 +49,8 @@ class RosTurns:
         since: s; what is taken in this turn came after that.
         count: turns that were noted.
         pacing: when the next turn may be.
-        gathers: whether the thread takes from several endpoints, and what it took is handed on at `gathered`.
+        gathering: the identifier of the thread, if it takes from several endpoints, and what it took is handed on at
+            `gathered`; or 0.
     """
 
     def __init__(self, wake: Callable[[], None] | None = None, steady: Callable[[], float] | None = None) -> None:
@@ -60,7 +61,7 @@ class RosTurns:
         self.watched = False
         self.count = 0
         self.pacing = TurnPacing()
-        self.gathers = False
+        self.gathering = 0
         self._gathered: dict[Callable[[], None], None] = {}
         self.at = self.since = float("inf")
 
@@ -70,7 +71,7 @@ class RosTurns:
 
     def gathered(self) -> None:
         """Hand on what the thread has gathered."""
-        self.gathers = False
+        self.gathering = 0
         while self._gathered:
             hand_on, _ = self._gathered.popitem()
             hand_on()
@@ -142,13 +143,15 @@ class RosToLoopQueue:
         self._scheduled = False
 
     def put(self, receiver: BatchReceiver[T], batch: Sequence[T], *, express: bool = False) -> None:
-        """Called on the ROS thread.
+        """Called on the ROS thread, or on that of an internal route's own source.
 
         Args:
             express: whether they are handed on at once, and leave at once with all that waits.
         """
         self._batches.append((receiver, batch, express))
-        if self._turns.gathers and not express:
+        # Beyond its bound, each batch waits for room.
+        gathers = self._turns.gathering == threading.get_ident() and len(self._batches) <= _BACKLOG
+        if gathers and not express:
             self._turns.hand_on_later(self._hand_on)
         else:
             self._hand_on()
@@ -177,12 +180,13 @@ class RosToLoopQueue:
                 if express:
                     joined.send_all()
         finally:
-            joined.is_open = False
-            joined.send_all()
             if self._is_full:
                 self._room.set()
             if self._batches:  # a receiver has failed: the others' go on
                 self._schedule()
+            # While it is open: what is written meanwhile goes behind what is held.
+            joined.send_all()
+            joined.is_open = False
 
     def _schedule(self) -> None:
         self._scheduled = True

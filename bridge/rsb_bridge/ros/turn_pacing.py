@@ -10,8 +10,8 @@ import math
 
 from rsb_bridge.model.limits import APART
 
-_OFTEN = 0.005
-"""s between two turns below which the next ones move apart: more than `APART`, so that they stay apart then."""
+_OFTEN = 0.001
+"""s beyond `longest` between two turns below which the next ones move apart, and stay apart."""
 _GROWS, _SHRINKS = 0.0005, 0.001
 """s. The second is larger, so that they part from some 200 turns a second on, however irregular these are."""
 
@@ -30,7 +30,7 @@ class TurnPacing:
 
     def turned(self, now: float) -> None:
         """Note a turn with messages at `now` (s)."""
-        grows = now - self._last < _OFTEN
+        grows = now - self._last < self.longest + _OFTEN
         self._apart = min(self._apart + _GROWS, self.longest) if grows else max(self._apart - _SHRINKS, 0.0)
         self._last = now
 

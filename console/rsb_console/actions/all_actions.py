@@ -75,5 +75,5 @@ def screens() -> list[tuple[Action, ...]]:
 
 
 def bindings(*groups: Group, actions: tuple[Action, ...] = ACTIONS) -> list[Any]:
-    """Textual's key bindings of the actions in some groups."""
-    return [Binding(a.keys, a.id, a.label, id=a.id, show=False) for a in actions if a.group in groups]
+    """Textual's key bindings of the actions in some groups, but for those whose keys are all taken."""
+    return [Binding(a.keys, a.id, a.label, id=a.id, show=False) for a in actions if a.keys and a.group in groups]

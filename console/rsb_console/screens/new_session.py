@@ -15,9 +15,7 @@ from rsb_bridge.model.session import Client, Session, session_keys
 from rsb_bridge.model.wording import Wording
 from rsb_console.screens.clients_screen import HandoutScreen, words
 from rsb_console.screens.save_screens import save_asking
-from rsb_console.screens.session_files import (
-    FileText,
-)
+from rsb_console.screens.session_files import FileText
 from rsb_console.session.client_files import handed_out, key_file_name
 from rsb_console.session.saving import path_problem
 from rsb_console.terminal.input_queue import DIALOG

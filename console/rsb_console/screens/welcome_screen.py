@@ -68,7 +68,7 @@ class WelcomeScreen(ModalScreen[str]):
         Binding("escape", "dismiss('')", show=False),
         *(
             # Also by the keys of the main screen, which the menu hides.
-            Binding(f"{each.key},{BY_ID[choice].keys}", f"dismiss('{choice}')", show=False)
+            Binding(",".join(filter(None, (each.key, BY_ID[choice].keys))), f"dismiss('{choice}')", show=False)
             for choice, each in CHOICES.items()
         ),
         *(Binding(str(number), f"select_recent({number})", show=False) for number in range(1, RECENT + 1)),

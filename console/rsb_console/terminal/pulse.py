@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
 ASKED_EVERY = 0.25
-"""s between two questions while something can be driven or armed."""
+"""s between two questions while a key could drive, or say yes to what may move a robot."""
 ASKED_AT_REST = 0.5
 """The same while no screen is open whose keys have an effect, and a round trip takes no longer than `ASKED_EVERY`: then
 keys are young as well, and on a slow line the questions are a third of what a console at rest sends."""

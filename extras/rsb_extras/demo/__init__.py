@@ -24,8 +24,12 @@ class DemoFeature(Feature):
         parser.add_argument("--seconds", type=seconds, metavar="N", help="stop after N s")
 
     def actions(self) -> Iterable[Action]:
-        from rsb_console.actions.action import Beginning  # noqa: PLC0415
-        from rsb_console.feature_console import Action, Group, late  # noqa: PLC0415
+        from rsb_console.feature_console import (  # noqa: PLC0415
+            Action,
+            Beginning,
+            Group,
+            late,
+        )
 
         about = "a simulated robot, bridged on this machine"
         demo = Action(

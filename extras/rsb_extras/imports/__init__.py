@@ -29,8 +29,12 @@ class Imports(Feature):
         add_import_command(add, complete)
 
     def actions(self) -> Iterable[Action]:
-        from rsb_console.actions.action import Beginning  # noqa: PLC0415
-        from rsb_console.feature_console import Action, Group, late  # noqa: PLC0415
+        from rsb_console.feature_console import (  # noqa: PLC0415
+            Action,
+            Beginning,
+            Group,
+            late,
+        )
 
         import_session = Action(
             "import_session", "f3", "import", "Import a file of another bridge", Group.SESSION,
