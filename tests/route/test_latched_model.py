@@ -486,6 +486,22 @@ def test_newest_is_heard_last_after_kill() -> None:
         assert len(world.far.heard) == 4
 
 
+def test_cut_after_kill_sends_nothing_again() -> None:
+    with virtual_loop() as loop:
+        world = World(loop, 1)
+        nodes = KilledBeside(world)
+        world.wait(10.0)
+        heard = list(world.far.heard)
+        for _ in range(2):
+            world.route.cut()
+            world.wait(2.0)
+            assert world.far.heard == heard
+            assert world.far.late_joiner() == world.near_late_joiner() == [b"writer 0 1", b"writer 2 1"]
+        del world.near.writers[nodes.successor.gid]
+        world.wait(3.0)
+        assert world.far.late_joiner() == world.near_late_joiner() == [b"writer 0 1"]
+
+
 def test_message_after_kill_is_not_sent_again() -> None:
     with virtual_loop() as loop:
         world = World(loop, 1)

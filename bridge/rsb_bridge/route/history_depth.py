@@ -121,6 +121,7 @@ class Histories:
         lifespan: float,
         known: Mapping[bytes, int],
         taken: dict[bytes, int],
+        other_ids: dict[bytes, bytes],
         bounds: Mapping[bytes, Bounds],
     ) -> None:
         """Begin without publishers.
@@ -134,6 +135,7 @@ class Histories:
             lifespan: s after which publishers on either side forget a message, or 0 for never.
             known: the newest number that the peer has, by publisher.
             taken: the newest number that was taken in the route's openings, by publisher; it is kept up here.
+            other_ids: of publishers whose history was sent again in the route's openings; they are kept up here.
             bounds: of depths, from an earlier opening, by publisher: a DDS publisher's depth never changes.
         """
         self._loop = loop
@@ -144,9 +146,9 @@ class Histories:
         self._lifespan = lifespan
         self._known = dict(known)
         self._taken = taken
+        self._other_ids = other_ids
         self._bounds_before = {} if depth else dict(bounds)
         self._publishers: dict[bytes, _Publisher] = {}
-        self._other_ids: dict[bytes, bytes] = {}  # of publishers whose history was sent again
         self._silent = SilentPublishers(loop, probe, self._withdraw, again)
         self._resends: asyncio.TimerHandle | None = None
         self._probe: _Probe | None = None
@@ -218,6 +220,7 @@ class Histories:
             self._bounds_before = {gid: each for gid, each in self._bounds_before.items() if gid in here}
         for gid in [gid for gid in self._taken if gid not in present and gid not in self._publishers]:
             del self._taken[gid]
+            self._other_ids.pop(gid, None)
         for gid, publisher in tuple(self._publishers.items()):
             if gid in present:
                 publisher.gone_since = None
@@ -246,7 +249,7 @@ class Histories:
     def _seen(self, message: RawMessage, now: float) -> _Publisher:
         publisher = self._publishers.get(message.gid)
         if publisher is None:
-            known = self._known.pop(publisher_id(message.gid), 0)
+            known = self._known.pop(self._id(message.gid), 0)
             publisher = self._publishers[message.gid] = _Publisher(known, now, now, now)
             if bounds := self._bounds_before.pop(publisher_id(message.gid), None):
                 publisher.at_least, publisher.at_most = bounds
