@@ -304,21 +304,31 @@ class Histories:
         self._found()
         if self._resends is not None:
             self._resends.cancel()
-        self._resends = self._loop.call_later(_WITHDRAWN_AFTER, self._send_newest_again, self._loop.time())
+        self._send_newest_later(max((each.source for each in self._publishers.values()), default=0))
 
-    def _send_newest_again(self, withdrawn_at: float) -> None:
+    def _send_newest_later(self, newest: int) -> None:
+        self._resends = self._loop.call_later(_WITHDRAWN_AFTER, self._send_newest_again, newest)
+
+    def _send_newest_again(self, newest_then: int) -> None:
         """Send the history of the newest message again, unless a newer message has come since the withdrawal.
 
         It gets another id, because the peer leaves out messages that it knows.
+
+        Args:
+            newest_then: ns since the epoch, when the newest message at the withdrawal was published.
         """
         self._resends = None
         gid, newest = max(self._publishers.items(), key=lambda item: item[1].source, default=(b"", None))
-        if newest is not None and newest.latest <= withdrawn_at:
-            self._other_ids[gid] = hashlib.blake2b(self._id(gid), digest_size=PUBLISHER_ID_LENGTH).digest()
-            newest.taken = newest.first = 0
-            newest.settled = newest.exact
-            self._found()
-            self._silent.hear_again(gid)
+        if newest is None or newest.source > newest_then:
+            return
+        # The peer drops what has the former id, so that id stays until there is something to replace it.
+        if not self._silent.hear_again(gid):
+            self._send_newest_later(newest_then)
+            return
+        self._other_ids[gid] = hashlib.blake2b(self._id(gid), digest_size=PUBLISHER_ID_LENGTH).digest()
+        newest.taken = newest.first = 0
+        newest.settled = newest.exact
+        self._found()
 
     # --- depths
 
