@@ -566,6 +566,28 @@ def test_killed_publisher_leaves_no_subscription() -> None:
         assert world.far.late_joiner() == world.near_late_joiner()
 
 
+@pytest.mark.parametrize("after", [0.5, 4.0, 10.0])
+def test_pause_after_kill_leaves_no_subscription(after: float) -> None:
+    """Before the killed publisher is asked, before it is judged, and while it is silent."""
+    with virtual_loop() as loop:
+        world = World(loop, 1)
+        nodes = KilledBeside(world)
+        world.wait(after)
+        world.route.subscription.unsubscribe()
+        assert not world.near.readers
+        world.wait(10.0)
+        assert not world.near.readers
+        world.route.subscription.subscribe(missed=False)
+        world.wait(10.0)
+        assert world.far.late_joiner() == world.near_late_joiner() == [b"writer 0 1", b"writer 2 1"]
+        nodes.killed.answers = True
+        world.wait(3.0)
+        world.near.publish(nodes.killed)
+        world.wait(15.0)
+        assert world.far.late_joiner() == world.near_late_joiner()
+        assert len(world.near.readers) == 1
+
+
 def test_living_publishers_are_not_sent_again() -> None:
     """Nodes that start one after the other, each asking for the others."""
     with virtual_loop() as loop:

@@ -211,6 +211,11 @@ class Histories:
             publisher.first = 0
             publisher.settled = publisher.exact
             publisher.arrivals.clear()
+        self._silent.go_on()
+
+    def unsubscribed(self) -> None:
+        """Keep no further subscription open while the topic is not subscribed to."""
+        self._silent.close()
 
     def _forget_gone(self, present: Collection[bytes]) -> Collection[bytes]:
         """Forget publishers that have ended; return the others that have been heard."""

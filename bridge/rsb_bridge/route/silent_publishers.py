@@ -73,6 +73,12 @@ class SilentPublishers:
             publishers.intersection_update(present)
         self._close_if_answered()
 
+    def go_on(self) -> None:
+        """Ask and listen again, as before `close`."""
+        if self.silent or self._asked or self._wanted:
+            self.close()
+            self._timer = self._loop.call_later(_ASKED_AFTER, self._open)
+
     def close(self) -> None:
         if self._timer is not None:
             self._timer.cancel()

@@ -136,6 +136,8 @@ class TopicSubscription:
         if self._subscription is not None:
             self._subscription.close()
             self._subscription = None
+        if self.histories is not None:
+            self.histories.unsubscribed()
         self._type.end()
 
     def renew(self) -> None:
