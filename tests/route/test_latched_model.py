@@ -19,7 +19,7 @@ from rsb_bridge.context import Context
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Session
 from rsb_bridge.ros.discovery import Discovery
-from rsb_bridge.ros.ros_interface import RawMessage, TopicSpec
+from rsb_bridge.ros.ros_interface import RawMessage, RosError, TopicSpec
 from rsb_bridge.ros.ros_thread import RosToLoopQueue
 from rsb_bridge.route.latched import PUBLISHER_COST, LatchedFullError, LatchedTopic
 from rsb_bridge.route.source_publishers import bounded
@@ -67,6 +67,7 @@ class NearDds:
         self.readers: list[NearReader] = []
         self.subscribed = 0
         self.ahead = 0.0  # s, of the publishers' clock
+        self.refuses = False  # whether it makes no further subscription
         self.overwrites = False  # whether it is too slow to hand over a history before it is overwritten
         self._numbers = count()
 
@@ -74,6 +75,8 @@ class NearDds:
         return ""
 
     def subscribe(self, *arguments: Any, **_: Any) -> NearReader:
+        if self.refuses:
+            raise RosError("too many subscriptions")
         self.subscribed += 1
         reader = NearReader(self, arguments[1])
         self.readers.append(reader)
@@ -486,6 +489,47 @@ def test_newest_is_heard_last_after_kill() -> None:
         assert len(world.far.heard) == 4
 
 
+def test_cut_after_kill_sends_nothing_again() -> None:
+    with virtual_loop() as loop:
+        world = World(loop, 1)
+        nodes = KilledBeside(world)
+        world.wait(10.0)
+        heard = list(world.far.heard)
+        for _ in range(2):
+            world.route.cut()
+            world.wait(2.0)
+            assert world.far.heard == heard
+            assert world.far.late_joiner() == world.near_late_joiner() == [b"writer 0 1", b"writer 2 1"]
+        del world.near.writers[nodes.successor.gid]
+        world.wait(3.0)
+        assert world.far.late_joiner() == world.near_late_joiner() == [b"writer 0 1"]
+
+
+@pytest.mark.parametrize("pauses", [False, True])
+def test_newest_stays_until_it_can_be_sent_again(pauses: bool) -> None:
+    """The further subscription is refused, or the route is paused once the killed publisher is withdrawn."""
+    with virtual_loop() as loop:
+        world = World(loop, 1)
+        nodes = KilledBeside(world)
+        world.wait(7.0)
+        assert world.far.late_joiner() == world.near_late_joiner() == [b"writer 0 1", b"writer 2 1"]
+        if pauses:
+            world.route.subscription.unsubscribe()
+        world.near.refuses = True
+        world.wait(10.0)
+        assert world.far.late_joiner() == world.near_late_joiner()
+        assert len(world.far.heard) == 3
+        world.near.refuses = False
+        if pauses:
+            world.route.subscription.subscribe(missed=False)
+        world.wait(10.0)
+        assert world.far.late_joiner() == world.near_late_joiner()
+        assert world.far.heard[3:] == [b"writer 2 1"]
+        nodes.killed.answers = True
+        world.wait(3.0)
+        assert world.far.late_joiner() == world.near_late_joiner()
+
+
 def test_message_after_kill_is_not_sent_again() -> None:
     with virtual_loop() as loop:
         world = World(loop, 1)
@@ -520,6 +564,28 @@ def test_killed_publisher_leaves_no_subscription() -> None:
         world.wait(3.0)
         assert len(world.near.readers) == 1
         assert world.far.late_joiner() == world.near_late_joiner()
+
+
+@pytest.mark.parametrize("after", [0.5, 4.0, 10.0])
+def test_pause_after_kill_leaves_no_subscription(after: float) -> None:
+    """Before the killed publisher is asked, before it is judged, and while it is silent."""
+    with virtual_loop() as loop:
+        world = World(loop, 1)
+        nodes = KilledBeside(world)
+        world.wait(after)
+        world.route.subscription.unsubscribe()
+        assert not world.near.readers
+        world.wait(10.0)
+        assert not world.near.readers
+        world.route.subscription.subscribe(missed=False)
+        world.wait(10.0)
+        assert world.far.late_joiner() == world.near_late_joiner() == [b"writer 0 1", b"writer 2 1"]
+        nodes.killed.answers = True
+        world.wait(3.0)
+        world.near.publish(nodes.killed)
+        world.wait(15.0)
+        assert world.far.late_joiner() == world.near_late_joiner()
+        assert len(world.near.readers) == 1
 
 
 def test_living_publishers_are_not_sent_again() -> None:

@@ -121,6 +121,7 @@ class Histories:
         lifespan: float,
         known: Mapping[bytes, int],
         taken: dict[bytes, int],
+        other_ids: dict[bytes, bytes],
         bounds: Mapping[bytes, Bounds],
     ) -> None:
         """Begin without publishers.
@@ -134,6 +135,7 @@ class Histories:
             lifespan: s after which publishers on either side forget a message, or 0 for never.
             known: the newest number that the peer has, by publisher.
             taken: the newest number that was taken in the route's openings, by publisher; it is kept up here.
+            other_ids: of publishers whose history was sent again in the route's openings; they are kept up here.
             bounds: of depths, from an earlier opening, by publisher: a DDS publisher's depth never changes.
         """
         self._loop = loop
@@ -144,9 +146,9 @@ class Histories:
         self._lifespan = lifespan
         self._known = dict(known)
         self._taken = taken
+        self._other_ids = other_ids
         self._bounds_before = {} if depth else dict(bounds)
         self._publishers: dict[bytes, _Publisher] = {}
-        self._other_ids: dict[bytes, bytes] = {}  # of publishers whose history was sent again
         self._silent = SilentPublishers(loop, probe, self._withdraw, again)
         self._resends: asyncio.TimerHandle | None = None
         self._probe: _Probe | None = None
@@ -209,6 +211,11 @@ class Histories:
             publisher.first = 0
             publisher.settled = publisher.exact
             publisher.arrivals.clear()
+        self._silent.go_on()
+
+    def unsubscribed(self) -> None:
+        """Keep no further subscription open while the topic is not subscribed to."""
+        self._silent.close()
 
     def _forget_gone(self, present: Collection[bytes]) -> Collection[bytes]:
         """Forget publishers that have ended; return the others that have been heard."""
@@ -218,6 +225,7 @@ class Histories:
             self._bounds_before = {gid: each for gid, each in self._bounds_before.items() if gid in here}
         for gid in [gid for gid in self._taken if gid not in present and gid not in self._publishers]:
             del self._taken[gid]
+            self._other_ids.pop(gid, None)
         for gid, publisher in tuple(self._publishers.items()):
             if gid in present:
                 publisher.gone_since = None
@@ -246,7 +254,7 @@ class Histories:
     def _seen(self, message: RawMessage, now: float) -> _Publisher:
         publisher = self._publishers.get(message.gid)
         if publisher is None:
-            known = self._known.pop(publisher_id(message.gid), 0)
+            known = self._known.pop(self._id(message.gid), 0)
             publisher = self._publishers[message.gid] = _Publisher(known, now, now, now)
             if bounds := self._bounds_before.pop(publisher_id(message.gid), None):
                 publisher.at_least, publisher.at_most = bounds
@@ -301,21 +309,31 @@ class Histories:
         self._found()
         if self._resends is not None:
             self._resends.cancel()
-        self._resends = self._loop.call_later(_WITHDRAWN_AFTER, self._send_newest_again, self._loop.time())
+        self._send_newest_later(max((each.source for each in self._publishers.values()), default=0))
 
-    def _send_newest_again(self, withdrawn_at: float) -> None:
+    def _send_newest_later(self, newest: int) -> None:
+        self._resends = self._loop.call_later(_WITHDRAWN_AFTER, self._send_newest_again, newest)
+
+    def _send_newest_again(self, newest_then: int) -> None:
         """Send the history of the newest message again, unless a newer message has come since the withdrawal.
 
         It gets another id, because the peer leaves out messages that it knows.
+
+        Args:
+            newest_then: ns since the epoch, when the newest message at the withdrawal was published.
         """
         self._resends = None
         gid, newest = max(self._publishers.items(), key=lambda item: item[1].source, default=(b"", None))
-        if newest is not None and newest.latest <= withdrawn_at:
-            self._other_ids[gid] = hashlib.blake2b(self._id(gid), digest_size=PUBLISHER_ID_LENGTH).digest()
-            newest.taken = newest.first = 0
-            newest.settled = newest.exact
-            self._found()
-            self._silent.hear_again(gid)
+        if newest is None or newest.source > newest_then:
+            return
+        # The peer drops what has the former id, so that id stays until there is something to replace it.
+        if not self._silent.hear_again(gid):
+            self._send_newest_later(newest_then)
+            return
+        self._other_ids[gid] = hashlib.blake2b(self._id(gid), digest_size=PUBLISHER_ID_LENGTH).digest()
+        newest.taken = newest.first = 0
+        newest.settled = newest.exact
+        self._found()
 
     # --- depths
 

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.ros_interface import RawMessage, Subscription
 
 _ASKED_AFTER = 0.3  # s: newcomers come together, as all do in a new opening
+_OPENED_AGAIN_AFTER = 3.0  # s after it was refused: a round figure
 _ANSWERED_WITHIN = 5.0
 """s after the newcomer's answer in which all others have to answer. They take milliseconds, on a busy machine up to
 seconds. A publisher that answers later is heard again on the far side."""
@@ -58,17 +59,25 @@ class SilentPublishers:
         self._newcomer, self._asked = newcomer, {*others} - self.silent
         self._timer = self._loop.call_later(_ASKED_AFTER, self._open)
 
-    def hear_again(self, publisher: bytes) -> None:
-        """Have one publisher's history sent once more."""
-        self._wanted.add(publisher)
+    def hear_again(self, publisher: bytes) -> bool:
+        """Have one publisher's history sent once more, and return whether it will be."""
         self.close()
         self._open()
+        if self._subscription is not None:
+            self._wanted.add(publisher)
+        return self._subscription is not None
 
     def forget_gone(self, present: Collection[bytes]) -> None:
         """Forget publishers that have ended."""
         for publishers in (self.silent, self._asked, self._wanted):
             publishers.intersection_update(present)
         self._close_if_answered()
+
+    def go_on(self) -> None:
+        """Ask and listen again, as before `close`."""
+        if self.silent or self._asked or self._wanted:
+            self.close()
+            self._timer = self._loop.call_later(_ASKED_AFTER, self._open)
 
     def close(self) -> None:
         if self._timer is not None:
@@ -90,6 +99,8 @@ class SilentPublishers:
             subscription = self._subscription = self._subscribe(take)
         except RosError:
             self._asked.clear()  # the next newcomer's messages ask again
+            if self.silent or self._wanted:
+                self._timer = self._loop.call_later(_OPENED_AGAIN_AFTER, self._open)
 
     def _take(self, batch: Sequence[RawMessage]) -> None:
         again = [each for each in batch if each.gid in self._wanted or each.gid in self.silent]

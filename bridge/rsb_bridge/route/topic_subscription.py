@@ -79,6 +79,7 @@ class TopicSubscription:
         self._subscription: LastingSubscription | None = None
         self._depth = 0
         self._taken: dict[bytes, int] = {}  # the newest numbers of a latched topic's publishers
+        self._other_ids: dict[bytes, bytes] = {}  # of those whose history was sent again: the peer knows it under these
         self._bounds: dict[bytes, Bounds] = {}  # of the depths of a latched topic's publishers
         self._lost_seen = 0
         self._unmatched_ticks = 0
@@ -107,6 +108,7 @@ class TopicSubscription:
                 lifespan=spec.qos.lifespan,
                 known=known,
                 taken=self._taken,
+                other_ids=self._other_ids,
                 bounds=self._bounds,
             )
 
@@ -134,6 +136,8 @@ class TopicSubscription:
         if self._subscription is not None:
             self._subscription.close()
             self._subscription = None
+        if self.histories is not None:
+            self.histories.unsubscribed()
         self._type.end()
 
     def renew(self) -> None:
