@@ -13,11 +13,13 @@ from tests.command.conftest import here, ran
 from tests.console.driving import drive, scripted_app, shown
 from tests.console.scripted import ROUTES
 from tests.support.bridge import happened, is_accepted, linked, reloaded, route
+from tests.support.inside import inside
 from tests.support.waiting import eventually
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.session_file import SessionError, load, save
 from rsb_bridge.config.validation import build
+from rsb_bridge.link.proposals import amendment
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 
@@ -137,3 +139,41 @@ def test_form_has_a_field_for_each() -> None:
         await shown(pilot, str(HIGH.default))
 
     drive(scripted_app(routes=ROUTES), steps, size=(120, 60))
+
+
+def amend(client: Engine, value: Any) -> None:
+    """Have a client send a change that its own version of the feature could not make."""
+    (link,) = inside(client).role.links()
+    (one,) = link.routes.values()
+    proposal = msgspec.structs.replace(one.proposal, features={"band_low": value})
+
+    def send() -> None:
+        link.send(amendment(proposal, one.id))
+
+    inside(client).context.call(send)
+
+
+def both_open(server: Engine, client: Engine) -> None:
+    eventually(lambda: is_accepted(client, "/scan") and is_accepted(server, "/scan"), what="open")
+
+
+@pytest.mark.parametrize("listed_on_both", [False, True])
+def test_change_with_mistake_is_refused_like_proposal(bridge: Bridge, listed_on_both: bool) -> None:
+    """The other side may have another version of the feature, whose key has another type or range."""
+    server, client = bridge.both(SCAN)
+    both_open(server, client)
+    if listed_on_both:
+        server.add_topic(SCAN).result(60)
+    for value, mistake in (("fast", "band_low: Expected `float`, got `str`"), (5000.0, "out of range")):
+        amend(client, value)
+        eventually(lambda mistake=mistake: happened(client, EventCode.ROUTE_REFUSED, mistake), what="refused")
+        both_open(server, client)
+    assert happened(server, EventCode.LINK_LOST) is None
+    assert bool(listed_there(server)) is listed_on_both
+
+
+def listed_there(server: Engine) -> tuple[Topic, ...]:
+    """Return what the server's session lists."""
+    (link,) = inside(server).role.links()
+    listed: tuple[Topic, ...] = link.proposed.all()
+    return listed

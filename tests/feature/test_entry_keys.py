@@ -37,4 +37,4 @@ FEATURE = Keys()
 def test_keys_of_entries_work(tmp_path: Path) -> None:
     (tmp_path / "rsb_keys.py").write_text(_FEATURE)
     describe(tmp_path, "rsb-keys", "keys = rsb_keys:FEATURE\n")
-    assert "10 passed" in passed(tmp_path, "keys_inside.py")
+    assert "12 passed" in passed(tmp_path, "keys_inside.py")

@@ -15,6 +15,7 @@ from rsb_bridge.link.proposals import (
     ARMING_KEYS,
     allow_rate,
     amended,
+    amended_by_peer,
     amended_entry,
     amendment,
     authorized,
@@ -234,11 +235,25 @@ class RouteTable(Extension):
         if route is None or route.there is None:  # it was removed here before the message arrived
             return
         old, here = route.spec, route.here
+        try:
+            there = amended_by_peer(route.there, message, route.purpose, self._link)
+        except LinkError as error:
+            self._refuse_amended(route, str(error))
+            return
         if here is not None:  # this side's entry changes with the peer's, but keeps the `max_age` of its own
             here = amended_entry(here, msgspec.structs.replace(message, max_age=here.proposal.max_age))
-        route.amend(here, amended_entry(route.there, message))
+        route.amend(here, there)
         if message.who:
             self.peer_operators.edited(route, message.who, old)
+
+    def _refuse_amended(self, route: Route, reason: str) -> None:
+        """End a route of which the peer wants what a proposal may not have; what this side lists, too, stays listed."""
+        if route.here is None:
+            self.deny(route, reason)
+            return
+        if route.id:
+            self._link.send(wire.Refuse(route=route.id, code="denied", reason=sanitize_text(reason)))
+        route.refuse(EventCode.ROUTE_REFUSED, Reason(reason))
 
     def _amendment(self, route: Route, who: str = "") -> wire.Amend:
         """Return the message with a route's present limits."""
