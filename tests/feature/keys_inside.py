@@ -60,6 +60,8 @@ def test_file_says_them_and_keeps_them(tmp_path: Path) -> None:
         ("band_low: -1", "out of range: 0 to 1000, or leave it out"),
         ("band_high: 2, band_low: 8", "band_low is above band_high"),
         ("band_lo: 8", "did you mean band_low"),
+        (f"place: {'a' * 256}", "at most 255 printable characters"),
+        ('place: "a\\tb"', "at most 255 printable characters"),
     ],
 )
 def test_mistakes_have_their_line(tmp_path: Path, entry: str, text: str) -> None:
