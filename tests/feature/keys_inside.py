@@ -174,6 +174,25 @@ def test_change_with_mistake_is_refused_like_proposal(bridge: Bridge, listed_on_
     assert bool(listed_there(server)) is listed_on_both
 
 
+def test_each_session_that_lists_it_has_its_own(bridge: Bridge) -> None:
+    server, client = bridge.both(SCAN)
+    both_open(server, client)
+    server.add_topic(msgspec.structs.replace(SCAN, features={"band_low": 5.0})).result(60)
+    for change in ({"max_rate": 3.0}, {"express": True}):  # of an open route, and of one that opens anew
+        shown_here = route(client, "/scan")
+        client.edit_topic(shown_here.key, msgspec.structs.replace(shown_here.spec, **change)).result(60)
+        ((name, value),) = change.items()
+        eventually(lambda name=name, value=value: getattr(route(server, "/scan").spec, name) == value, what="told")
+        assert (low(client), low(server)) == (8.0, 5.0)
+    shown_there = route(server, "/scan")
+    wanted = msgspec.structs.replace(shown_there.spec, features={"band_low": 6.0}, max_rate=2.0)
+    server.edit_topic(shown_there.key, wanted).result(60)
+    eventually(lambda: route(client, "/scan").spec.max_rate == 2.0, what="edited there")
+    eventually(lambda: route(server, "/scan").spec.max_rate == 2.0, what="and here")
+    assert (low(client), low(server)) == (8.0, 6.0)
+    assert [each.features for each in listed_there(server)] == [{"band_low": 6.0}]
+
+
 def listed_there(server: Engine) -> tuple[Topic, ...]:
     """Return what the server's session lists."""
     (link,) = inside(server).role.links()

@@ -41,7 +41,7 @@ FEATURE = Keys()
 def test_keys_of_entries_work(tmp_path: Path) -> None:
     (tmp_path / "rsb_keys.py").write_text(_FEATURE)
     describe(tmp_path, "rsb-keys", "keys = rsb_keys:FEATURE\n")
-    assert "14 passed" in passed(tmp_path, "keys_inside.py")
+    assert "15 passed" in passed(tmp_path, "keys_inside.py")
 
 
 _MANY = """

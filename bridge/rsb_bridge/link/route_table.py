@@ -31,6 +31,7 @@ from rsb_bridge.model.purposes import purposes
 from rsb_bridge.model.reason import EndCode, Reason
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.text import sanitize_text
+from rsb_bridge.model.topic_keys import of_peer
 from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.calls.caller import Caller
 from rsb_bridge.route.calls.provider import Provider
@@ -240,8 +241,9 @@ class RouteTable(Extension):
         except LinkError as error:
             self._refuse_amended(route, str(error))
             return
-        if here is not None:  # this side's entry changes with the peer's, but keeps the `max_age` of its own
-            here = amended_entry(here, msgspec.structs.replace(message, max_age=here.proposal.max_age))
+        if here is not None:  # this side's entry changes with the peer's, but keeps what each session has of its own
+            kept = {"max_age": here.proposal.max_age, "features": of_peer(here.topic.features)}
+            here = amended_entry(here, msgspec.structs.replace(message, **kept))
         route.amend(here, there)
         if message.who:
             self.peer_operators.edited(route, message.who, old)
@@ -439,8 +441,9 @@ class RouteTable(Extension):
         if known.here is not None:
             spec = edited_entry(known.spec, known.proposal, theirs.proposal, self._link)
             demands = {name: getattr(known.here.proposal, name) for name in (*ARMING_KEYS, "max_age")}
+            demands["features"] = of_peer(known.spec.features)
             here = Entry(
-                msgspec.structs.replace(spec, max_age=known.spec.max_age),
+                msgspec.structs.replace(spec, max_age=known.spec.max_age, features=known.spec.features),
                 msgspec.structs.replace(theirs.proposal, **demands),
             )
             route.enter(here, theirs)
