@@ -116,8 +116,9 @@ def test_side_that_does_not_list_it_edits_what_is_for_both(bridge: Bridge) -> No
     eventually(lambda: low(client) == 9.0, what="edited")
     assert FRAGILE.of(route(client, "/scan").spec)
     wanted = msgspec.structs.replace(wanted, features={"band_low": 9.0, "fragile": True})
-    with pytest.raises(EngineError, match="fragile"):
-        server.edit_topic(shown_there.key, wanted).result(60)
+    for each in (wanted, msgspec.structs.replace(wanted, arm=True)):
+        with pytest.raises(EngineError, match="fragile"):
+            server.edit_topic(shown_there.key, each).result(60)
 
 
 def test_commands_edit_and_show_them(bridge: Bridge, machine: Any, ran: Any) -> None:

@@ -168,10 +168,10 @@ class ProposedTopics(Extension):
             proposal = msgspec.structs.replace(here.proposal, features=of_peer(topic.features))
             route.enter(Entry(msgspec.structs.replace(old, **new), proposal), route.there)
             self._context.demands.changed()
-        elif topic.arm:
-            self._table.arming.keep_demand(self.names(topic)[1], topic)
         elif new["features"] != old.features:
             raise LinkError(Denied.KEY_OF_SIDE(topic=route.local_topic, keys=", ".join(of_this_side(topic.features))))
+        elif topic.arm:
+            self._table.arming.keep_demand(self.names(topic)[1], topic)
         elif topic.limits != old.limits:
             raise LinkError(Denied.LIMITS_OF_PEER(topic=route.local_topic))
         left = {name: getattr(route.spec, name) for name in ARMING_KEYS}
