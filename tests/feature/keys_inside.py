@@ -13,11 +13,13 @@ from tests.command.conftest import here, ran
 from tests.console.driving import drive, scripted_app, shown
 from tests.console.scripted import ROUTES
 from tests.support.bridge import happened, is_accepted, linked, reloaded, route
+from tests.support.inside import inside
 from tests.support.waiting import eventually
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.session_file import SessionError, load, save
 from rsb_bridge.config.validation import build
+from rsb_bridge.link.proposals import amendment
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 
@@ -58,6 +60,8 @@ def test_file_says_them_and_keeps_them(tmp_path: Path) -> None:
         ("band_low: -1", "out of range: 0 to 1000, or leave it out"),
         ("band_high: 2, band_low: 8", "band_low is above band_high"),
         ("band_lo: 8", "did you mean band_low"),
+        (f"place: {'a' * 256}", "at most 255 printable characters"),
+        ('place: "a\\tb"', "at most 255 printable characters"),
     ],
 )
 def test_mistakes_have_their_line(tmp_path: Path, entry: str, text: str) -> None:
@@ -112,8 +116,9 @@ def test_side_that_does_not_list_it_edits_what_is_for_both(bridge: Bridge) -> No
     eventually(lambda: low(client) == 9.0, what="edited")
     assert FRAGILE.of(route(client, "/scan").spec)
     wanted = msgspec.structs.replace(wanted, features={"band_low": 9.0, "fragile": True})
-    with pytest.raises(EngineError, match="fragile"):
-        server.edit_topic(shown_there.key, wanted).result(60)
+    for each in (wanted, msgspec.structs.replace(wanted, arm=True)):
+        with pytest.raises(EngineError, match="fragile"):
+            server.edit_topic(shown_there.key, each).result(60)
 
 
 def test_commands_edit_and_show_them(bridge: Bridge, machine: Any, ran: Any) -> None:
@@ -137,3 +142,60 @@ def test_form_has_a_field_for_each() -> None:
         await shown(pilot, str(HIGH.default))
 
     drive(scripted_app(routes=ROUTES), steps, size=(120, 60))
+
+
+def amend(client: Engine, value: Any) -> None:
+    """Have a client send a change that its own version of the feature could not make."""
+    (link,) = inside(client).role.links()
+    (one,) = link.routes.values()
+    proposal = msgspec.structs.replace(one.proposal, features={"band_low": value})
+
+    def send() -> None:
+        link.send(amendment(proposal, one.id))
+
+    inside(client).context.call(send)
+
+
+def both_open(server: Engine, client: Engine) -> None:
+    eventually(lambda: is_accepted(client, "/scan") and is_accepted(server, "/scan"), what="open")
+
+
+@pytest.mark.parametrize("listed_on_both", [False, True])
+def test_change_with_mistake_is_refused_like_proposal(bridge: Bridge, listed_on_both: bool) -> None:
+    """The other side may have another version of the feature, whose key has another type or range."""
+    server, client = bridge.both(SCAN)
+    both_open(server, client)
+    if listed_on_both:
+        server.add_topic(SCAN).result(60)
+    for value, mistake in (("fast", "band_low: Expected `float`, got `str`"), (5000.0, "out of range")):
+        amend(client, value)
+        eventually(lambda mistake=mistake: happened(client, EventCode.ROUTE_REFUSED, mistake), what="refused")
+        both_open(server, client)
+    assert happened(server, EventCode.LINK_LOST) is None
+    assert bool(listed_there(server)) is listed_on_both
+
+
+def test_each_session_that_lists_it_has_its_own(bridge: Bridge) -> None:
+    server, client = bridge.both(SCAN)
+    both_open(server, client)
+    server.add_topic(msgspec.structs.replace(SCAN, features={"band_low": 5.0})).result(60)
+    for change in ({"max_rate": 3.0}, {"express": True}):  # of an open route, and of one that opens anew
+        shown_here = route(client, "/scan")
+        client.edit_topic(shown_here.key, msgspec.structs.replace(shown_here.spec, **change)).result(60)
+        ((name, value),) = change.items()
+        eventually(lambda name=name, value=value: getattr(route(server, "/scan").spec, name) == value, what="told")
+        assert (low(client), low(server)) == (8.0, 5.0)
+    shown_there = route(server, "/scan")
+    wanted = msgspec.structs.replace(shown_there.spec, features={"band_low": 6.0}, max_rate=2.0)
+    server.edit_topic(shown_there.key, wanted).result(60)
+    eventually(lambda: route(client, "/scan").spec.max_rate == 2.0, what="edited there")
+    eventually(lambda: route(server, "/scan").spec.max_rate == 2.0, what="and here")
+    assert (low(client), low(server)) == (8.0, 6.0)
+    assert [each.features for each in listed_there(server)] == [{"band_low": 6.0}]
+
+
+def listed_there(server: Engine) -> tuple[Topic, ...]:
+    """Return what the server's session lists."""
+    (link,) = inside(server).role.links()
+    listed: tuple[Topic, ...] = link.proposed.all()
+    return listed

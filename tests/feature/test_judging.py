@@ -104,6 +104,8 @@ def _fail() -> Any:
         (_fail, "RuntimeError: it fails"),
         (lambda: "bent", "verdict returns a Verdict"),
         (lambda: Verdict(State.DOWN, "link_down", "not so"), "has to begin with watch."),
+        (lambda: Verdict(State.DOWN, f"watch.{'a' * 250}", "too long"), "at most 255 printable characters"),
+        (lambda: Verdict(State.DOWN, "watch.a\tb", "not printable"), "at most 255 printable characters"),
     ],
 )  # fmt: skip
 def test_failing_judge_is_left_out_with_a_line(

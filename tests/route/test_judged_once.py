@@ -32,9 +32,9 @@ def test_snapshots_keep_verdict_until_change(
 ) -> None:
     judged: list[Crossing] = []
 
-    def counted(half: SenderFacts, crossing: Crossing, rules: Any, **options: bool) -> Verdict:
+    def counted(half: SenderFacts, crossing: Crossing, rules: Any) -> tuple[Verdict, Verdict]:
         judged.append(crossing)
-        return judge(half, crossing, rules, **options)
+        return judge(half, crossing, rules)
 
     replaced.JUDGE.set(monkeypatch, counted)
     sender = half_of(Sender, make_context(), Topic("/scan", "transmit"))
@@ -53,6 +53,33 @@ def test_snapshots_keep_verdict_until_change(
     assert len(judged) == 4
     sender.route.tick()
     assert len(judged) == 5
+
+
+def test_feature_is_asked_once_for_both_sides(make_context: Callable[..., Context]) -> None:
+    asked: list[Any] = []
+
+    def verdicts(route: Any) -> list[Verdict]:
+        asked.append(route)
+        return [Verdict(State.SLOW, "watch.bent", "the mast is bent: straighten it", here=True)]
+
+    peer = FakePeer()
+    peer.verdicts = verdicts
+    halves: tuple[tuple[type[Sender | Receiver], Topic], ...] = (
+        (Sender, Topic("/scan", "transmit")),
+        (Receiver, Topic("/scan", "receive")),
+    )
+    for kind, topic in halves:
+        half = half_of(kind, make_context(), topic, peer)
+        half.route.open(1)
+        half.route.on_accepted()
+        half.route.tick()
+        asked.clear()
+        half.route.judge_again()
+        assert half.route.verdict().cause == "watch.bent"
+        for _ in range(3):
+            report = half.news()
+            assert report is None or report.verdict is None or report.verdict.cause != "watch.bent"
+        assert asked == [half.route]
 
 
 def test_route_learns_nothing_on_full_link(

@@ -217,8 +217,8 @@ def _always(value: Any) -> Callable[[], Any]:
 
 def topic_verdict(now: float = 0.0, **facts: Any) -> Verdict:
     half = topic_half(now, **facts)
-    return judge(half, facts.get("crossing", Crossing.NOT_OPEN), OF_SENDER if half.outgoing else OF_RECEIVER)
+    return judge(half, facts.get("crossing", Crossing.NOT_OPEN), OF_SENDER if half.outgoing else OF_RECEIVER)[0]
 
 
 def calls_verdict(now: float = 0.0, **facts: Any) -> Verdict:
-    return judge(calls_half(now, **facts), facts.get("crossing", Crossing.NOT_OPEN), OF_CALLS)
+    return judge(calls_half(now, **facts), facts.get("crossing", Crossing.NOT_OPEN), OF_CALLS)[0]

@@ -82,7 +82,7 @@ class FakePeer:
     keepalive: Any = SimpleNamespace(ping_delay=0.0, ping_wait=0.0, quiet=0.0, in_doubt=False)
     down_reason = ""
     suspended_since = None
-    verdicts = None
+    verdicts: Any = None
     connections = 1
 
     def __init__(self) -> None:

@@ -79,6 +79,7 @@ class TopicMistake(Wording):
     ON_END_WITHOUT_ARM = "only {kind} with arm: true has it: set arm: true, or leave it out"
     ON_END_TOO_LONG = "the message has {length} characters, and at most {limit} are allowed: leave out what is 0"
     LIMITS_OF_TYPE = "only Twist and TwistStamped have a velocity, and the type is {name}: leave limits out"
+    NOT_FOR_PEER = "the other side cannot get {value}: write at most {limit} printable characters, or leave it out"
     KEEP_OF_ARMED = "nothing of a topic that has to be armed may arrive late: leave keep or arm out"
     KEEP_BEYOND_AGE = "{seconds:g} s are kept, and what is older than {key} is dropped: keep at most {age:g} s"
     KEEP_OF_DATAGRAMS = "{protocol} sends nothing of best effort again: leave protocol out, or set qos: reliable"
@@ -117,8 +118,12 @@ def _feature_problems(topic: Topic) -> Iterator[Problem]:
     """Yield the mistakes in the values of features' keys."""
     value: Any
     for name, value in topic.features.items():
-        if name in ADDED_KEYS and not TOPIC_KEYS[name].allows(value):
+        if name not in ADDED_KEYS:
+            continue
+        if not TOPIC_KEYS[name].allows(value):
             yield _out_of_range(TOPIC_KEYS[name], value)
+        if ADDED_KEYS[name].of_peer and isinstance(value, str) and value != sanitize_text(value, TEXT_LENGTH):
+            yield Problem(name, TopicMistake.NOT_FOR_PEER(value=show(value), limit=TEXT_LENGTH))
     yield from (Problem(name, text) for name, text in added("topic_problems", topic))
 
 

@@ -6,7 +6,9 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from rsb_bridge.config.name_rules import name_problems
 from rsb_bridge.installed_features import failed
+from rsb_bridge.model.limits import TEXT_LENGTH
 from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.text import is_clean
 from rsb_bridge.model.verdict import Verdict
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.tasks import in_slices
@@ -187,6 +189,8 @@ def _checked(verdict: Verdict, feature: str) -> Verdict:
     """Return a feature's verdict; raise `ValueError` if programs and the other side could mistake it."""
     if not isinstance(verdict, Verdict) or not isinstance(verdict.state, State):
         raise TypeError("verdict returns a Verdict with a State, or None")
+    if len(verdict.cause) > TEXT_LENGTH or not is_clean(verdict.cause):
+        raise ValueError(f"the cause of a verdict has at most {TEXT_LENGTH} printable characters")
     if not verdict.cause.startswith(f"{feature}."):
         raise ValueError(f"the cause {verdict.cause!r} of a verdict has to begin with {feature}.")
     return verdict

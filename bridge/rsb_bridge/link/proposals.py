@@ -183,6 +183,16 @@ def amended_entry(entry: Entry, limits: Propose | Amend) -> Entry:
     return Entry(amended_topic(entry.topic, proposal), proposal)
 
 
+def amended_by_peer(entry: Entry, limits: Amend, purpose: Purpose, link: BaseLink) -> Entry:
+    """Return the peer's entry with its change; raise `LinkError` if a proposal of that would have a mistake."""
+    entry = amended_entry(entry, limits)
+    internal = not purpose.in_graph
+    found = internal_problems(entry.topic, purpose, link.context.session) if internal else entry_problems(entry.topic)
+    for problem in found:
+        raise LinkError(str(problem))
+    return entry
+
+
 ARMING_KEYS = ("arm", "deadman", "on_end", "limits")
 """Keys that each session sets for itself: what either one demands holds."""
 _OF_SESSION = frozenset({*ARMING_KEYS, "paused", "excepts"})

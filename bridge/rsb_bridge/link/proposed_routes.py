@@ -158,18 +158,20 @@ class ProposedTopics(Extension):
         Raises:
             LinkError: this session has no place for it.
         """
-        old = route.spec
+        old, here = route.spec, route.here
         new: dict[str, Any] = {name: getattr(topic, name) for name in ARMING_KEYS}
-        new["features"] = of_peer(old.features) | of_this_side(topic.features)
+        # Each session that lists a topic has its own values of features' keys.
+        new["features"] = of_peer((old if here is None else topic).features) | of_this_side(topic.features)
         if all(getattr(old, name) == value for name, value in new.items()):
             return topic
-        if route.here is not None:
-            route.enter(route.here._replace(topic=msgspec.structs.replace(old, **new)), route.there)
+        if here is not None:
+            proposal = msgspec.structs.replace(here.proposal, features=of_peer(topic.features))
+            route.enter(Entry(msgspec.structs.replace(old, **new), proposal), route.there)
             self._context.demands.changed()
-        elif topic.arm:
-            self._table.arming.keep_demand(self.names(topic)[1], topic)
         elif new["features"] != old.features:
             raise LinkError(Denied.KEY_OF_SIDE(topic=route.local_topic, keys=", ".join(of_this_side(topic.features))))
+        elif topic.arm:
+            self._table.arming.keep_demand(self.names(topic)[1], topic)
         elif topic.limits != old.limits:
             raise LinkError(Denied.LIMITS_OF_PEER(topic=route.local_topic))
         left = {name: getattr(route.spec, name) for name in ARMING_KEYS}

@@ -15,6 +15,7 @@ from rsb_bridge.link.proposals import (
     ARMING_KEYS,
     allow_rate,
     amended,
+    amended_by_peer,
     amended_entry,
     amendment,
     authorized,
@@ -30,6 +31,7 @@ from rsb_bridge.model.purposes import purposes
 from rsb_bridge.model.reason import EndCode, Reason
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.text import sanitize_text
+from rsb_bridge.model.topic_keys import of_peer
 from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.calls.caller import Caller
 from rsb_bridge.route.calls.provider import Provider
@@ -234,11 +236,26 @@ class RouteTable(Extension):
         if route is None or route.there is None:  # it was removed here before the message arrived
             return
         old, here = route.spec, route.here
-        if here is not None:  # this side's entry changes with the peer's, but keeps the `max_age` of its own
-            here = amended_entry(here, msgspec.structs.replace(message, max_age=here.proposal.max_age))
-        route.amend(here, amended_entry(route.there, message))
+        try:
+            there = amended_by_peer(route.there, message, route.purpose, self._link)
+        except LinkError as error:
+            self._refuse_amended(route, str(error))
+            return
+        if here is not None:  # this side's entry changes with the peer's, but keeps what each session has of its own
+            kept = {"max_age": here.proposal.max_age, "features": of_peer(here.topic.features)}
+            here = amended_entry(here, msgspec.structs.replace(message, **kept))
+        route.amend(here, there)
         if message.who:
             self.peer_operators.edited(route, message.who, old)
+
+    def _refuse_amended(self, route: Route, reason: str) -> None:
+        """End a route of which the peer wants what a proposal may not have; what this side lists, too, stays listed."""
+        if route.here is None:
+            self.deny(route, reason)
+            return
+        if route.id:
+            self._link.send(wire.Refuse(route=route.id, code="denied", reason=sanitize_text(reason)))
+        route.refuse(EventCode.ROUTE_REFUSED, Reason(reason))
 
     def _amendment(self, route: Route, who: str = "") -> wire.Amend:
         """Return the message with a route's present limits."""
@@ -424,8 +441,9 @@ class RouteTable(Extension):
         if known.here is not None:
             spec = edited_entry(known.spec, known.proposal, theirs.proposal, self._link)
             demands = {name: getattr(known.here.proposal, name) for name in (*ARMING_KEYS, "max_age")}
+            demands["features"] = of_peer(known.spec.features)
             here = Entry(
-                msgspec.structs.replace(spec, max_age=known.spec.max_age),
+                msgspec.structs.replace(spec, max_age=known.spec.max_age, features=known.spec.features),
                 msgspec.structs.replace(theirs.proposal, **demands),
             )
             route.enter(here, theirs)

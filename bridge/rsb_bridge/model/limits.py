@@ -51,6 +51,7 @@ CHANNEL = Range(1, 30)  # RFCOMM server channels (Bluetooth RFCOMM 1.2, section 
 NAME_BYTES = 255  # the name of a client or a server, in UTF-8: PROTOCOL.md section 1.1 gives its length one byte
 TOPIC_LENGTH = 247
 """Characters of a full topic name, any prefix included (rmw/validate_full_topic_name.h, RMW_TOPIC_MAX_NAME_LENGTH)."""
+FEATURE_VALUES = 32  # values of features' keys in a control message (PROTOCOL.md section 3)
 TEXT_LENGTH = 255  # characters of a name, a topic or a type in a control message (PROTOCOL.md section 3)
 REASON_LENGTH = 500  # characters of a reason or a problem in a control message (PROTOCOL.md section 3)
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, Literal
 
-from rsb_bridge.installed_features import added_by, guarded
-from rsb_bridge.model.limits import RATE, Range
+from rsb_bridge.installed_features import added_by, guarded, leave_out
+from rsb_bridge.model.limits import FEATURE_VALUES, RATE, Range
 from rsb_bridge.model.qos import PROFILES
 from rsb_bridge.model.session import CALL_TIMEOUT, DEADMAN, Kind, Topic
 from rsb_bridge.model.wording import Wording
@@ -197,10 +197,16 @@ _IN_FILES = ("service", "action", "node", "provider", "remote_service", "remote_
 
 
 def _of_features() -> Iterator[tuple[EntryKey[Any], TopicKey]]:
-    taken = (*Topic.__struct_fields__, *_IN_FILES)
+    taken, of_both = (*Topic.__struct_fields__, *_IN_FILES), 0
     for feature, key in added_by("topic_keys", name_of=lambda key: key.name, taken=taken):
         with guarded(feature, "topic_keys"):
-            yield key, _shown(key)
+            shown = _shown(key)
+            if key.of_peer and of_both == FEATURE_VALUES:
+                text = f"{key.name}: the other side gets at most {FEATURE_VALUES} keys of features: remove a feature"
+                leave_out(feature.name, "topic_keys", text)
+                continue
+            of_both += key.of_peer
+            yield key, shown
 
 
 def _shown(key: EntryKey[Any]) -> TopicKey:

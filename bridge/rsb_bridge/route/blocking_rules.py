@@ -38,23 +38,28 @@ _BETWEEN_LOSSES = frozenset(
 """Verdicts on a route that has recovered for a moment, or opens again."""
 
 
-def judge(half: FactsT, crossing: Crossing, rules: Rules[FactsT], *, for_peer: bool = False) -> Verdict:
-    """Return the verdict that counts, also for the other side if it is `for_peer`.
+def judge(half: FactsT, crossing: Crossing, rules: Rules[FactsT]) -> tuple[Verdict, Verdict]:
+    """Return the verdict that counts on this side, and the one for the other side.
 
     A blocking verdict counts alone, because it keeps the others from being known. Otherwise the worst one counts,
     and of equally bad ones the first; instead of silence, its explanation.
     """
     if (blocking := blocked(half, crossing)) is not None:
-        return explained(half, blocking)
+        return (explained(half, blocking),) * 2
     # A stream of a full link only waits for its turn.
     no_path = half.route.trouble()
     found = [] if no_path is None or (half.route.transport.reliable and half.route.link_full is not None) else [no_path]
     # A generator would take a call for each rule, once a second for each route.
     found += [verdict for rule in rules if (verdict := rule(half, crossing)) is not None]
     if (of_features := half.route.peer.verdicts) is not None:
-        found += [each for each in of_features(half.route) if not (for_peer and each.here)]
+        found += of_features(half.route)
     if half.route.limit.rate:
         found.append(Verdict(State.OK, Cause.THROTTLED, f"limit {half.route.limit.rate:g} Hz, {half.route.limit.why}"))
+    own = _worst(half, found)
+    return own, _worst(half, [each for each in found if not each.here]) if own.here else own
+
+
+def _worst(half: Facts, found: Sequence[Verdict]) -> Verdict:
     if not found:
         return FINE
     worst = explained(half, min(found, key=lambda verdict: verdict.state.rank))

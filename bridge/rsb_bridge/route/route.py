@@ -18,6 +18,7 @@ from rsb_bridge.model.reason import NO_REASON, Reason
 from rsb_bridge.model.session import HIGHEST, weight_of
 from rsb_bridge.model.snapshot import Level, RouteSnapshot, State
 from rsb_bridge.model.text import sanitize_text
+from rsb_bridge.model.verdict import FINE
 from rsb_bridge.route.age import MessageAge
 from rsb_bridge.route.arming import AGREED, Arming, Disarmed, Settling
 from rsb_bridge.route.blocking_rules import LossyPath, judge
@@ -174,6 +175,7 @@ class Route:
         self.idling = Idling(context.now())
         peer.timetable.add(self)
         self._verdict: Verdict | None = None  # None: it has to be judged
+        self._verdict_for_peer = FINE  # made together with the former
         self._lossy_path = LossyPath()
         self._shown_of_features: dict[str, Any] = {}
         self.judged = CombinedVerdict(sends=self.outgoing, peer_name="server" if peer.is_client else peer.name)
@@ -455,7 +457,8 @@ class Route:
         self.reopening.observe(connected=connected, flowing=crossing.flows)
         if self.losses.reasons:  # nearly never, and the question what it owes takes a while
             self.losses.tick(now, idle=connected and not self.half.facts.owing)
-        self._verdict = own = self._judged(now, crossing)
+        own, self._verdict_for_peer = self._judged(now, crossing)
+        self._verdict = own
         said = self.judged.announce(own, now, self.peer.path.fault)
         if said and self.purpose.in_graph:  # of an internal route, what has proposed it tells the operator
             shown, from_peer = self.judged.announced
@@ -526,12 +529,15 @@ class Route:
         now = self.context.now()
         # A deadman that runs out between two ticks must not be shown as armed.
         if self._verdict is None or self.arming.overdue(now):
-            self._verdict = self._judged(now, self.crossing)
-        return self._judged(now, self.crossing, for_peer=True) if for_peer and self._verdict.here else self._verdict
+            self._verdict, self._verdict_for_peer = self._judged(now, self.crossing)
+        return self._verdict_for_peer if for_peer else self._verdict
 
-    def _judged(self, now: float, crossing: Crossing, *, for_peer: bool = False) -> Verdict:
-        verdict = judge(self.half.facts, crossing, self.half.rules, for_peer=for_peer)
-        return self._lossy_path.steady(verdict, self.peer.path.fault, now)
+    def _judged(self, now: float, crossing: Crossing) -> tuple[Verdict, Verdict]:
+        """Return the verdicts for this side and for the other one."""
+        own, for_peer = judge(self.half.facts, crossing, self.half.rules)
+        path, steady = self.peer.path.fault, self._lossy_path.steady
+        shown = steady(own, path, now)
+        return shown, steady(for_peer, path, now) if own.here else shown
 
     def snapshot(self) -> RouteSnapshot:
         """Return the route as it is now."""

@@ -12,7 +12,7 @@ import msgspec
 from msgspec import Meta
 
 from rsb_bridge.cdr.description import DESCRIPTION_LIMIT
-from rsb_bridge.model.limits import LATCHED_DEPTH, PORT, RATE, REASON_LENGTH, TEXT_LENGTH
+from rsb_bridge.model.limits import FEATURE_VALUES, LATCHED_DEPTH, PORT, RATE, REASON_LENGTH, TEXT_LENGTH
 from rsb_bridge.model.names import HOP_LENGTH, MOST_BRIDGES, MOST_HOPS
 from rsb_bridge.model.qos import Qos, qos_problem
 from rsb_bridge.model.session import HIGHEST, LOWEST
@@ -46,7 +46,7 @@ Hops: TypeAlias = Annotated[tuple[Hop, ...], Meta(min_length=1, max_length=MOST_
 MaybeHops: TypeAlias = Annotated[tuple[Hop, ...], Meta(max_length=MOST_HOPS)]
 Bridges: TypeAlias = Annotated[tuple[Name, ...], Meta(min_length=1, max_length=MOST_BRIDGES)]
 FeatureNames: TypeAlias = Annotated[tuple[Name, ...], Meta(max_length=64)]
-FeatureValues: TypeAlias = Annotated[dict[Name, bool | float | Name], Meta(max_length=32)]
+FeatureValues: TypeAlias = Annotated[dict[Name, bool | float | Name], Meta(max_length=FEATURE_VALUES)]
 NodeNames: TypeAlias = Annotated[tuple[Name, ...], Meta(max_length=16)]
 
 MOST_PUBLISHERS = 4096  # of one latched topic, in one message
