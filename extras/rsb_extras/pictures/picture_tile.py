@@ -59,6 +59,7 @@ class ViewText(Wording):
     SIDE = "drawn by {side}"
     WRITTEN = "written: {files}"
     NOT_WRITTEN = "the picture cannot be written: {error}"
+    NOT_DRAWN = "the picture cannot be drawn: {error}"
     NO_PICTURE = "there is no picture yet"
     NO_MAP = "a goal needs a map with a frame"
 
@@ -105,7 +106,7 @@ class PictureTile(Tile):
         self._came = time.monotonic()
         self._problem = ""
         self._unreadable = ""
-        """The damage of the image in sight, or an empty string."""
+        """Why the newest image cannot be drawn, or an empty string."""
         self._waiting = ""
         """The publishing side's reason why no picture has come yet."""
         self._showing = asyncio.Lock()
@@ -196,16 +197,18 @@ class PictureTile(Tile):
         async with self._showing:
             content, wish, self._unreadable = self.content, self._wish, ""
             if content is not None and self._look.is_image(content):
-                mark = self._goal.mark(self._scale)
-                self._image = await self._look.image(content, wish, cursor=self._cursor, mark=mark)
-                blocks = partial(self._look.in_blocks, self._image, wish)
                 try:
+                    mark = self._goal.mark(self._scale)
+                    self._image = await self._look.image(content, wish, cursor=self._cursor, mark=mark)
+                    blocks = partial(self._look.in_blocks, self._image, wish)
                     if self._look.shows_pixels:
                         await self.show_image(self._image, wish, blocks, few_colours=self._look.strain > 0)
                     else:
                         self._blocks = await asyncio.to_thread(blocks)
                 except UnreadableError as error:
                     self._unreadable, self._blocks = str(error), []
+                except Exception as error:  # noqa: BLE001 -- a stranger's picture must not end the console
+                    self._unreadable, self._blocks = ViewText.NOT_DRAWN(error=error), []
             self._draw()
 
     @work(exclusive=True, group="image")
