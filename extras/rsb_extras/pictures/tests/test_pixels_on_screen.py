@@ -421,6 +421,42 @@ async def test_goal_moves_by_characters_of_map_in_pixels(app: ConsoleApp, pilot:
 
 
 @on_list
+async def test_click_on_map_of_another_size_puts_goal_there(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    """On a held map after a resize, and on one that was made for half of the pane."""
+    written = await in_pixels(pilot)
+    await comes(pilot, viewed(whole_map(app)))
+    await pilot.press("space", "g")
+    before = pane_of(app).size
+    await pilot.resize_terminal(90, 30)
+    await until(pilot, lambda: pane_of(app).size != before and is_whole(app, written), "the map in another size")
+    await clicked(app, pilot, written, 3 * before.width * 0.5)
+    await pilot.press("space")
+    width, height = pane_of(app).size
+    half = Cells(("⣿" * 3 * (width // 2),) * (3 * (height // 2)), scale=Scale("map", 0.0, 3.0, 0.5, 0.5), fine=3)
+    await comes(pilot, viewed(half))
+    await until(pilot, lambda: is_whole(app, written), "the map of half the size")
+    await clicked(app, pilot, written, 3 * (width // 2) * 0.5)
+
+
+async def clicked(app: ConsoleApp, pilot: Pilot[None], written: Written, metres: float) -> None:
+    """Click on a map that is so wide, and find the goal in the part of its image that was clicked."""
+    content, (columns,) = pane_of(app).content_region, {width for _, _, width, _ in written.shown().values()}
+    column = columns // 4
+    before = title(app)
+    await pilot.click(offset=(content.x + column, content.y + 5))
+    await until(pilot, lambda: title(app) != before, "another place")
+    place = float(re.findall(r"GOAL at (\S+),", title(app))[0])
+    assert place / metres == pytest.approx((column + 0.5) / columns, abs=1 / columns)
+
+
+def is_whole(app: ConsoleApp, written: Written) -> bool:
+    """Whether an image is in sight that fills its pane in one direction."""
+    placed, pane = written.shown().values(), pane_of(app).size
+    widths = {width for _, _, width, _ in placed}
+    return len(widths) == 1 and (max(widths) == pane.width or sum(height for *_, height in placed) == pane.height)
+
+
+@on_list
 async def test_terminal_without_pixels_asks_for_no_finer_map(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await opened(pilot)
     wish = await comes(pilot, viewed(PLOT))
