@@ -114,6 +114,8 @@ class PictureTile(Tile):
         self._seen: Scale | None = None
         """The place of the map in sight in the world, by cells of the pane: it may have been made for another size."""
         self._showing = asyncio.Lock()
+        self._changes = self._drawn = 0
+        """How often what is in sight changed, and how many of these changes are drawn or under way."""
         self._cursor: int | None = None
         """Column of a plot whose values are shown."""
 
@@ -197,8 +199,13 @@ class PictureTile(Tile):
 
     async def _show_content(self) -> None:
         """Show the newest picture; an image is drawn on a thread, so that keys do not wait for it."""
+        self._changes += 1
+        number = self._changes
         # One after the other: of two threads, the one with the former picture or size may be the last.
         async with self._showing:
+            if self._drawn >= number:  # one drawing has all that changed during the one before
+                return
+            self._drawn = self._changes
             content, wish, self._unreadable = self.content, self._wish, ""
             if content is not None and self._look.is_image(content):
                 try:
@@ -216,7 +223,7 @@ class PictureTile(Tile):
                     self._unreadable, self._blocks = ViewText.NOT_DRAWN(error=error), []
             self._draw()
 
-    @work(exclusive=True, group="image")
+    @work(group="image")  # not exclusive: a held key would end each drawing before it is in sight
     async def cover_changed(self) -> None:
         await self._show_content()
 
