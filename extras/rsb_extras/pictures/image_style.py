@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -12,6 +13,7 @@ from rsb_extras.pictures.blocks import image_rows, wished_pixels
 from rsb_extras.pictures.cell_image import fine_for, image_of, is_drawn, styles_in
 from rsb_extras.pictures.graphics import USUAL_CELL, protocol_of
 from rsb_extras.pictures.picture import Cells, Pixels, sized
+from rsb_extras.pictures.picture_rows import UnreadableError
 
 if TYPE_CHECKING:
     from rsb_extras.pictures.cell_image import Marked
@@ -27,6 +29,7 @@ _DEAR = 50_000
 
 
 class StyleText(Wording):
+    NO_PILLOW = "the picture cannot be drawn: a map in pixels needs Pillow here: pip install 'rsb-console[look]'"
     ASCII = "ASCII: LC_ALL=C.UTF-8 shows more, if the terminal has Unicode"
     FEW_COLOURS = "{colours} colours: COLORTERM=truecolor or terminal: {{colours: true}} in console.yaml shows more"
 
@@ -86,9 +89,15 @@ class ImageStyle:
     async def image(
         self, content: Cells | Pixels | Series, wish: Wish, *, cursor: int | None, mark: Marked | None
     ) -> Pixels:
-        """Return a picture as an image; one of a map or a plot has an operator's sign or the cursor on it."""
+        """Return a picture as an image; one of a map or a plot has an operator's sign or the cursor on it.
+
+        Raises:
+            UnreadableError: the other side sends for pixels, for which nobody asked, and Pillow is missing.
+        """
         if isinstance(content, Pixels):
             return content
+        if find_spec("PIL") is None:
+            raise UnreadableError(StyleText.NO_PILLOW())
         inks, size = self._pane.inks(styles_in(content), self._cell), (wish.width, wish.height)
         return await asyncio.to_thread(image_of, content, size, wish.shape, inks, cursor=cursor, mark=mark)
 

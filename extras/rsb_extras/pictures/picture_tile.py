@@ -20,6 +20,7 @@ from rsb_extras.pictures.drawing import VIEWS, is_map
 from rsb_extras.pictures.field_chooser import FieldChooser
 from rsb_extras.pictures.goal_keys import GoalKeys
 from rsb_extras.pictures.goal_on_map import POSE
+from rsb_extras.pictures.graphics import frame_of
 from rsb_extras.pictures.image_style import ImageStyle
 from rsb_extras.pictures.picture import (
     TOPICS_AT_ONCE,
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from rsb_console.feature_console import Console
+    from rsb_extras.pictures.graphics import Extent
     from rsb_extras.pictures.layouts import Subject
     from rsb_extras.pictures.picture import Scale, Viewed, Wish
     from rsb_extras.pictures.picture_rows import Row
@@ -59,6 +61,7 @@ class ViewText(Wording):
     SIDE = "drawn by {side}"
     WRITTEN = "written: {files}"
     NOT_WRITTEN = "the picture cannot be written: {error}"
+    NOT_DRAWN = "the picture cannot be drawn: {error}"
     NO_PICTURE = "there is no picture yet"
     NO_MAP = "a goal needs a map with a frame"
 
@@ -105,10 +108,14 @@ class PictureTile(Tile):
         self._came = time.monotonic()
         self._problem = ""
         self._unreadable = ""
-        """The damage of the image in sight, or an empty string."""
+        """Why the newest image cannot be drawn, or an empty string."""
         self._waiting = ""
         """The publishing side's reason why no picture has come yet."""
+        self._seen: Scale | None = None
+        """The place of the map in sight in the world, by cells of the pane: it may have been made for another size."""
         self._showing = asyncio.Lock()
+        self._changes = self._drawn = 0
+        """How often what is in sight changed, and how many of these changes are drawn or under way."""
         self._cursor: int | None = None
         """Column of a plot whose values are shown."""
 
@@ -192,23 +199,31 @@ class PictureTile(Tile):
 
     async def _show_content(self) -> None:
         """Show the newest picture; an image is drawn on a thread, so that keys do not wait for it."""
+        self._changes += 1
+        number = self._changes
         # One after the other: of two threads, the one with the former picture or size may be the last.
         async with self._showing:
+            if self._drawn >= number:  # one drawing has all that changed during the one before
+                return
+            self._drawn = self._changes
             content, wish, self._unreadable = self.content, self._wish, ""
             if content is not None and self._look.is_image(content):
-                mark = self._goal.mark(self._scale)
-                self._image = await self._look.image(content, wish, cursor=self._cursor, mark=mark)
-                blocks = partial(self._look.in_blocks, self._image, wish)
                 try:
+                    mark = self._goal.mark(self._scale)
+                    self._image = await self._look.image(content, wish, cursor=self._cursor, mark=mark)
+                    blocks = partial(self._look.in_blocks, self._image, wish)
                     if self._look.shows_pixels:
                         await self.show_image(self._image, wish, blocks, few_colours=self._look.strain > 0)
                     else:
                         self._blocks = await asyncio.to_thread(blocks)
+                    self._seen = _seen_scale(content, frame_of(self._image, wish))
                 except UnreadableError as error:
                     self._unreadable, self._blocks = str(error), []
+                except Exception as error:  # noqa: BLE001 -- a stranger's picture must not end the console
+                    self._unreadable, self._blocks = ViewText.NOT_DRAWN(error=error), []
             self._draw()
 
-    @work(exclusive=True, group="image")
+    @work(group="image")  # not exclusive: a held key would end each drawing before it is in sight
     async def cover_changed(self) -> None:
         await self._show_content()
 
@@ -225,6 +240,7 @@ class PictureTile(Tile):
                 content, self._wish.width, self._wish.height, colours=self._look.colours, cursor=self._cursor
             )
             rows = self._goal.marked(rows, self._scale, self._wish.width)
+            self._seen = self._scale
         if not (is_image and self._look.shows_pixels) or self._unreadable:
             self.show(rows or self._reason())
         self._entitle()
@@ -361,8 +377,8 @@ class PictureTile(Tile):
 
     def on_picture_pane_clicked(self, event: Tile.Clicked) -> None:
         """Put the goal where the operator clicks."""
-        if self._goal.goal is not None and (scale := self._scale) is not None:
-            self._goal.put(scale, event.column, event.row)
+        if self._goal.goal is not None and self._seen is not None and not self._unreadable:
+            self._goal.put(self._seen, event.column, event.row)
             self._redraw()
 
     def action_place(self) -> None:
@@ -419,6 +435,16 @@ def _sets_of_layers(subject: Subject) -> list[tuple[str, ...]]:
     others = tuple(topic for topic in subject.layers if topic not in costs)
     most = TOPICS_AT_ONCE - len(subject.topics)
     return [*dict.fromkeys((others[:most], (*costs[:2], *others)[:most], ()))]
+
+
+def _seen_scale(content: Cells | Pixels | Series, frame: Extent) -> Scale | None:
+    """Return the place of a map in the world by cells of the pane, of which its image fills these."""
+    if not isinstance(content, Cells) or (scale := content.scale) is None:
+        return None
+    columns, rows = max(map(len, content.rows), default=0), len(content.rows)
+    return msgspec.structs.replace(
+        scale, column=scale.column * columns / frame.width, row=scale.row * rows / frame.height
+    )
 
 
 def _is_points(type_name: str) -> bool:

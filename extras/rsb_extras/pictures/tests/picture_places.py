@@ -7,6 +7,7 @@ from tests.support.places import Place
 OPEN_VIEW = Place("rsb_extras.pictures.link_views", "LinkViews.open")
 GRAPHICS_CHUNK = Place("rsb_extras.pictures.graphics", "_CHUNK")
 ASK_TERMINAL = Place("rsb_extras.pictures.look_command", "ask")
+IMAGE_OF = Place("rsb_extras.pictures.image_style", "image_of")
 LOOK_SETTLES_IN = Place("rsb_extras.pictures.look_command", "_SETTLE_SECONDS")
 LOOK_TIME = Place("rsb_extras.pictures.look_command", "time")
 LOOK_WAIT = Place("rsb_extras.pictures.look_command", "wait")

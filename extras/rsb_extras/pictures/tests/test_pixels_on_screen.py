@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import threading
 from dataclasses import replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
@@ -24,7 +25,7 @@ from rsb_console.terminal.terminal_line import TerminalLine
 from rsb_extras.driving.drive_screen import DriveScreen
 from rsb_extras.pictures.graphics import BANDS
 from rsb_extras.pictures.picture import Cells, Curve, Pixels, Scale, Series
-from rsb_extras.pictures.tests import samples
+from rsb_extras.pictures.tests import picture_places, samples
 from rsb_extras.pictures.tests.looking_engine import LookingEngine
 from rsb_extras.pictures.tests.view_screen_helpers import comes, engine_of, looks, opened, viewed
 from rsb_extras.pictures.view_screen import ViewScreen
@@ -418,6 +419,75 @@ async def test_goal_moves_by_characters_of_map_in_pixels(app: ConsoleApp, pilot:
     await until(pilot, lambda: title(app) != before, "another place")
     places = [float(re.findall(r"GOAL at (\S+),", each)[0]) for each in (before, title(app))]
     assert places[1] - places[0] == pytest.approx(3 * 0.5)
+
+
+@on_list
+async def test_goal_is_seen_to_move_while_key_is_held(
+    app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Keys that come faster than the map is drawn: each drawing is shown, and the next one has all keys since."""
+    written = await in_pixels(pilot)
+    await comes(pilot, viewed(whole_map(app)))
+    await pilot.press("space", "g")
+    await until(pilot, lambda: len(written.shown()) == bands(app), "the goal")
+    drawings: list[threading.Event] = []
+    draw = picture_places.IMAGE_OF.value
+
+    def held(*about: Any, **more: Any) -> Pixels:
+        drawings.append(may_end := threading.Event())
+        may_end.wait(60)
+        return draw(*about, **more)  # type: ignore[no-any-return]
+
+    picture_places.IMAGE_OF.set(monkeypatch, held)
+    try:
+        await pilot.press("right")
+        for number in range(3):
+            await until(pilot, lambda number=number: len(drawings) > number, "a drawing")
+            before = len(written.text)
+            await pilot.press("right", "right", "right")
+            drawings[number].set()
+            await until(pilot, lambda before=before: len(written.text) > before, "the goal further on", 20)
+        await until(pilot, lambda: len(drawings) == 4, "the last drawing")
+    finally:
+        monkeypatch.undo()
+        for each in drawings:
+            each.set()
+
+
+@on_list
+async def test_click_on_map_of_another_size_puts_goal_there(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    """On a held map after a resize, and on one that was made for half of the pane."""
+    written = await in_pixels(pilot)
+    await comes(pilot, viewed(whole_map(app)))
+    await pilot.press("space", "g")
+    before = pane_of(app).size
+    await pilot.resize_terminal(90, 30)
+    await until(pilot, lambda: pane_of(app).size != before and is_whole(app, written), "the map in another size")
+    await clicked(app, pilot, written, 3 * before.width * 0.5)
+    await pilot.press("space")
+    width, height = pane_of(app).size
+    half = Cells(("⣿" * 3 * (width // 2),) * (3 * (height // 2)), scale=Scale("map", 0.0, 3.0, 0.5, 0.5), fine=3)
+    await comes(pilot, viewed(half))
+    await until(pilot, lambda: is_whole(app, written), "the map of half the size")
+    await clicked(app, pilot, written, 3 * (width // 2) * 0.5)
+
+
+async def clicked(app: ConsoleApp, pilot: Pilot[None], written: Written, metres: float) -> None:
+    """Click on a map that is so wide, and find the goal in the part of its image that was clicked."""
+    content, (columns,) = pane_of(app).content_region, {width for _, _, width, _ in written.shown().values()}
+    column = columns // 4
+    before = title(app)
+    await pilot.click(offset=(content.x + column, content.y + 5))
+    await until(pilot, lambda: title(app) != before, "another place")
+    place = float(re.findall(r"GOAL at (\S+),", title(app))[0])
+    assert place / metres == pytest.approx((column + 0.5) / columns, abs=1 / columns)
+
+
+def is_whole(app: ConsoleApp, written: Written) -> bool:
+    """Whether an image is in sight that fills its pane in one direction."""
+    placed, pane = written.shown().values(), pane_of(app).size
+    widths = {width for _, _, width, _ in placed}
+    return len(widths) == 1 and (max(widths) == pane.width or sum(height for *_, height in placed) == pane.height)
 
 
 @on_list

@@ -29,6 +29,7 @@ from tests.console.driving import (
     until,
 )
 from tests.console.scripted import SUGGESTION, answered, route
+from tests.support import surroundings
 from tests.support.control import Machine
 from tests.support.wording import says
 from textual.binding import Binding
@@ -727,6 +728,33 @@ async def test_a_damaged_image_is_refused_in_words(app: ConsoleApp, pilot: Pilot
     await comes(pilot, viewed())
     await shown(pilot, "the picture")
     assert "an image cannot be read" not in title(app)
+
+
+@looking()
+async def test_finer_map_than_was_asked_for_does_not_end_console(
+    app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    surroundings.hide_modules(monkeypatch, "PIL")
+    await comes(pilot, viewed(Cells(("xx", "xx"), scale=SCALE, fine=2)))
+    await until(pilot, lambda: "the picture cannot be drawn" in title(app), "the reason")
+    assert "needs Pillow" in "".join(drawn(app))
+    await comes(pilot, viewed())
+    await shown(pilot, "the picture")
+    assert "cannot be drawn" not in title(app)
+
+
+@looking()
+async def test_error_of_drawing_does_not_end_console(
+    app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(*_: object, **__: object) -> None:
+        raise ArithmeticError("too much")
+
+    picture_places.IMAGE_OF.set(monkeypatch, fails)
+    await comes(pilot, viewed(Cells(("xx", "xx"), fine=2)))
+    await until(pilot, lambda: ViewText.NOT_DRAWN(error="too much") in title(app), "the reason")
+    await comes(pilot, viewed())
+    await shown(pilot, "the picture")
 
 
 def test_a_hostile_bridge_s_picture_is_refused(machine: Machine) -> None:
