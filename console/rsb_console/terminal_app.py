@@ -8,10 +8,11 @@ import gc
 import inspect
 import os
 import signal
+import sys
 import threading
 import traceback
 from enum import Enum
-from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
@@ -25,7 +26,7 @@ from textual.signal import Signal
 from rsb_bridge.config.files import make_folder, owner_only, remove_file
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import several_lines
-from rsb_console.actions.action import Action, Group
+from rsb_console.actions.action import Action, Group, late_modules
 from rsb_console.actions.all_actions import ACTIONS, bindings
 from rsb_console.library_internals.rich_internals import colours_of, use_colours
 from rsb_console.library_internals.textual_internals import ChopsUpdate, LayoutUpdate, OpenApp, style_scope
@@ -65,6 +66,8 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 _PREPARES_AFTER = 1.0
 """s after the first picture. A round figure: what the console shows at first is there by then."""
+_BETWEEN_IMPORTS = 0.05
+"""s in which keys have their effect. A round figure: an import takes up to 0.05 s of a core."""
 _ENDS_WITHIN = 10.0
 """s. A round figure: with much less, a busy machine would leave the terminal as the app has it."""
 
@@ -172,7 +175,8 @@ class TerminalApp(OpenApp[ReturnType]):
         if isinstance(self.driver_now, ConsoleDriver):
             self.input_gate.pulse = self.driver_now.pulse
             self.set_interval(ASKED_EVERY, self._look_at_terminal)
-            self.set_timer(_PREPARES_AFTER, partial(_prepare, self))
+            # A worker, as a timer's own call would let keys wait for all of it.
+            self.set_timer(_PREPARES_AFTER, lambda: self.run_worker(prepare(self), exit_on_error=False))
 
     def _look_at_terminal(self) -> None:
         if isinstance(self.driver_now, ConsoleDriver):
@@ -409,22 +413,38 @@ class TerminalApp(OpenApp[ReturnType]):
                 file.write(several_lines(traceback.format_exc()))
 
 
-def _prepare(app: App[Any]) -> None:
-    """Do what would hold up the first key that opens a box: 0.2 s of a core, on a busy machine a second."""
-    read_styles(app)
+async def prepare(app: App[Any]) -> None:
+    """Do what would hold up the first key that opens a box: 0.3 s of a core, on a busy machine seconds.
+
+    What fails is left to the key that needs it.
+    """
+    for module in late_modules():
+        if module not in sys.modules:
+            with contextlib.suppress(Exception):
+                import_module(module)
+            await asyncio.sleep(_BETWEEN_IMPORTS)
+    with contextlib.suppress(Exception):
+        _read_styles(app)
     gc.collect()
     gc.freeze()  # a collection of everything holds up a key for 0.07 s
 
 
-def read_styles(app: App[Any]) -> None:
+def _read_styles(app: App[Any]) -> None:
     """Read the styles of all screens. With those of each new one, Textual reads all again."""
     kinds: list[type[Screen[Any]]] = [Screen]
+    styles = app.stylesheet.copy()  # faulty ones would end the app when it changes its theme
     for kind in kinds:
         kinds += kind.__subclasses__()
-        if vars(kind).get("CSS"):
-            place, scope = (inspect.getfile(kind), f"{kind.__name__}.CSS"), style_scope(kind)
-            app.stylesheet.add_source(kind.CSS, read_from=place, scope=scope if kind.SCOPED_CSS else "")
-    app.stylesheet.update(app)
+        if kind.CSS:
+            try:
+                file = inspect.getfile(kind)
+            except (TypeError, OSError):
+                file = ""  # as in Textual
+            scope = style_scope(kind) if kind.SCOPED_CSS else ""
+            styles.add_source(kind.CSS, read_from=(file, f"{kind.__name__}.CSS"), scope=scope)
+    styles.parse()
+    app.stylesheet = styles
+    styles.update(app)
 
 
 def crash_path() -> Path:

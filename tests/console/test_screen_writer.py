@@ -16,14 +16,16 @@ from textual.geometry import Region, Size
 from textual.screen import ModalScreen
 from textual.widgets import Static
 
+from rsb_console.actions.action import late
 from rsb_console.screens.help import KeyList
 from rsb_console.terminal.screen_cells import FIRST, LAST, LINES, USUAL
 from rsb_console.terminal.screen_writer import ScreenWriter
 from rsb_console.terminal.terminal_line import TerminalLine
-from rsb_console.terminal_app import read_styles
+from rsb_console.terminal_app import prepare
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
+    from pathlib import Path
 
     from textual.app import ComposeResult
     from textual.pilot import Pilot
@@ -178,8 +180,53 @@ async def test_styles_of_screens_are_read_before_a_key_opens_one(
     app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Reading all anew with each takes so long that the key seems lost."""
-    read_styles(app)
+    await prepare(app)
     monkeypatch.setattr(app.stylesheet, "reparse", lambda: pytest.fail("all styles are read again"))
     app.push_screen(box := Coloured())
     await until(pilot, lambda: bool(box.query("#box")) and box.is_current, "a box")
     assert box.query_one("#box").styles.background.hex == "#0000FF"
+
+
+STYLED = """
+from textual.screen import ModalScreen
+
+class Styled(ModalScreen):
+    CSS = "Static { background: #00ff00; }"
+
+class Heir(Styled):
+    pass
+"""
+
+
+@on_main()
+async def test_styles_of_screens_that_keys_import_are_read(
+    app: ConsoleApp, pilot: Pilot[None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "failing_late.py").write_text("1 / 0")
+    (tmp_path / "styled_late.py").write_text(STYLED)
+    late("failing_late:show")
+    late("styled_late:show")
+    await prepare(app)
+    sources = [name for _, name in app.stylesheet.source]
+    assert {"Styled.CSS", "Heir.CSS"} <= {*sources}
+    await pilot.press("t")
+
+
+@on_main()
+async def test_faulty_styles_of_a_screen_are_left_to_its_key(
+    app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Coloured, "CSS", "#box { background: }")
+    await prepare(app)
+    await pilot.press("t")
+    assert not any(name == "Coloured.CSS" for _, name in app.stylesheet.source)
+
+
+@on_main()
+async def test_styles_of_a_screen_without_a_file_are_read(
+    app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Coloured, "__module__", "without_a_file")
+    await prepare(app)
+    assert app.stylesheet.has_source("", "Coloured.CSS")

@@ -222,6 +222,30 @@ async def test_title_is_set_once_for_each_terminal(
 
 
 @on_main()
+async def test_nothing_is_erased_in_a_terminal_that_may_be_another_one(
+    app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One with as many colours may erase in another paper, and what is there would stay."""
+    monkeypatch.setattr(app, "facts", TerminalFacts(colours=TRUE_COLOUR, erases=True))
+    driver = ConsoleDriver(app)
+    vars(driver)["write"] = lambda _: None
+
+    async def tell(kind: str) -> None:
+        question = re.search(r"\x1b\[(\d+);(\d+)H", driver.pulse.question())
+        assert question is not None
+        driver.pulse.answered(int(question[1]), int(question[2]))
+        driver.process_message(events.Key("<terminal-kind>", f"\x1b[>{kind}c"))
+        await pilot.pause()
+
+    await tell("1;4000;26")
+    assert driver.erases
+    driver.process_message(events.Key("ctrl+l", None))
+    assert not driver.erases
+    await tell("41;379;0")
+    assert not driver.erases, "it has not told all"
+
+
+@on_main()
 async def test_line_of_another_terminal_that_answers_nothing_is_used(app: ConsoleApp, pilot: Pilot[None]) -> None:
     """Else each second carries some words of its first screen, for half a minute."""
     driver = ConsoleDriver(app)

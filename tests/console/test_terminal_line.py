@@ -215,6 +215,35 @@ def test_terminal_that_answers_no_longer_is_one_without_answers() -> None:
     assert carried > 4_000
 
 
+@pytest.mark.parametrize("trip", [0.0, 0.06, 0.3])
+def test_answer_after_it_is_given_up_tells_rate_and_no_round_trip(trip: float) -> None:
+    """As where dtach is attached from a slow line, whose first screen takes longer than an answer is waited for."""
+    way = Way(80_000, trip)
+    way.play(10.0, 160_000)
+    way.go_on(1.0)
+    way.change_to(1_920)
+    way.write(12_000)
+    way.go_on(5.0)
+    way.line.expect_no_answers()
+    way.go_on(2.0)
+    assert way.line.rate == pytest.approx(way.rate, rel=0.1)
+    _, latest = way.play(10.0, 4_000)
+    assert latest < 2.5 * FRAME
+
+
+def test_what_a_terminal_never_answered_proves_no_fast_line() -> None:
+    way = Way(1_920)
+    way.play(10.0, 4_000)
+    way.answers = False
+    for _ in range(10):
+        way.write(290)
+        way.go_on(0.2)
+    way.line.expect_no_answers()
+    way.answers = True
+    _, latest = way.play(10.0, 4_000)
+    assert latest < 2.5 * FRAME
+
+
 def test_bytes_a_second_are_those_of_some_seconds() -> None:
     way = Way(10_000)
     way.play(20.0, 1_000)

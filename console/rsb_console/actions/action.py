@@ -147,11 +147,20 @@ class Action:
     chapters: tuple[KeyChapter, ...] = ()
 
 
+_late_modules: dict[str, None] = {}
+
+
 def late(place: str) -> Callable[..., Any]:
     """Return a function, ``package.module:function``, that is imported once it is called, to keep the start short."""
     module, name = place.split(":")
+    _late_modules[module] = None
 
     def call(*arguments: Any) -> Any:
         return getattr(import_module(module), name)(*arguments)
 
     return call
+
+
+def late_modules() -> tuple[str, ...]:
+    """Return the modules that `late` has been told of."""
+    return tuple(_late_modules)

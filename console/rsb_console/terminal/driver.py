@@ -329,6 +329,8 @@ class ConsoleDriver(TerminalDriver):
     def erases(self) -> bool:
         """Whether cells that the terminal erases get the present paper, as if blanks were written."""
         facts = self._known.facts
+        if not self._known.is_known:
+            return False  # another terminal may be there, with the facts of the one before
         # TERM alone proves nothing, and sixels go with text only.
         return facts.erases and facts.kind != "" and facts.pixels != "sixel"
 

@@ -90,7 +90,7 @@ class TerminalLine:
         self._trip_seen = 0.0
         self._asked: deque[_Asked] = deque()
         self._since_question = self._written = 0
-        self._answered_at = self._asked_at = self._wrote_at = float("-inf")
+        self._answered_at = self._asked_at = self._wrote_at = self._gave_up_at = float("-inf")
         self._in_flight, self._at = 0.0, clock()
         """Bytes that the line has not carried yet, by estimate, and when it was made."""
         self._told_at = self._at
@@ -134,26 +134,30 @@ class TerminalLine:
         """Take the answer to the question of a time (s)."""
         with self._lock:
             self._carry()
-            size, alone = 0, False
+            size, alone, was_given_up = 0, False, asked_at <= self._gave_up_at
             while self._asked and self._asked[0].at <= asked_at:
-                size, alone = size + self._asked[0].size, self._asked[0].alone
-                self._asked.popleft()
+                asked = self._asked.popleft()
+                alone = asked.alone
+                if was_given_up or asked.at > self._gave_up_at:  # else it went to another terminal
+                    size += asked.size
             took = self._at - asked_at
             # Where the rate may be another one, what much takes beyond it is no round trip.
             is_trip = alone and self._is_to_empty and not (self._is_stale and size >= self._telling)
-            if self._trip is None or took <= self._trip or is_trip:
+            # An answer that was given up may have waited for a line that is slower than known.
+            if not was_given_up and (self._trip is None or took <= self._trip or is_trip):
                 self._trip, self._trip_seen = min(took, max(_AT_ONCE, took - size / self.rate)), self._at
             # One that waited in a bunch with the answer before, or in this process, tells nothing.
-            if not self._at - self._answered_at <= _AT_ONCE < took - self._trip:
-                self._learn(size, self._at - max(asked_at + self._trip, self._answered_at))
+            trip = self._trip or 0.0
+            if not self._at - self._answered_at <= _AT_ONCE < took - trip:
+                self._learn(size, self._at - max(asked_at + trip, self._answered_at))
             self._answered_at = self._at
             # What was written before the question has arrived; of the rest, what a round trip carries does not wait.
-            self._in_flight = max(0.0, self._not_answered - self._trip * self.rate)
+            self._in_flight = max(0.0, self._not_answered - trip * self.rate)
 
     def expect_no_answers(self) -> None:
         """Note that the terminal, which may be another one, answers nothing: frames wait for the line alone."""
         with self._lock:
-            self._asked.clear()
+            self._gave_up_at = self._clock()
             self._trip = None
 
     def waited(self, size: int, seconds: float) -> None:
