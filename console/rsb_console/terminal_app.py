@@ -103,7 +103,7 @@ class TerminalApp(OpenApp[ReturnType]):
             behind the last one.
         terminal_changed: published when the terminal is found to show other things than before.
         pictures: widgets whose content is written after all else.
-        signals: the reasons that signals gave to shut down, also to an app that had ended.
+        signals: the reasons that signals and a terminal that is gone gave to shut down, also to an app that had ended.
         writer: writes the screen to the terminal.
     """
 
@@ -396,6 +396,7 @@ class TerminalApp(OpenApp[ReturnType]):
 
     def terminal_gone(self) -> None:
         """Shut down because the terminal has hung up; called by the driver's thread."""
+        self.signals.add(ShutdownReason.HANGUP)
         self.shut_down_soon(ShutdownReason.HANGUP)
 
     def failed(self) -> None:

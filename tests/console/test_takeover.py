@@ -23,6 +23,7 @@ from rsb_console.terminal.driver import ConsoleDriver
 from rsb_console.terminal.known_terminal import KnownTerminal
 from rsb_console.terminal.pulse import Pulse
 from rsb_console.terminal.terminal_facts import TRUE_COLOUR, TerminalFacts, is_plain
+from rsb_console.terminal_app import ShutdownReason
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -243,6 +244,14 @@ async def test_nothing_is_erased_in_a_terminal_that_may_be_another_one(
     assert not driver.erases
     await tell("41;379;0")
     assert not driver.erases, "it has not told all"
+
+
+@on_main()
+async def test_hangup_that_only_the_driver_sees_is_noted(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    """A console that crashes as well asks for it, before its bridge goes on."""
+    driver = ConsoleDriver(app)
+    driver._terminal.hung_up()
+    assert app.signals == {ShutdownReason.HANGUP}
 
 
 @on_main()
