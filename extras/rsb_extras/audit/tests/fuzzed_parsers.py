@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+from contextlib import closing
 from io import BytesIO
 from typing import Any
 
@@ -78,17 +79,17 @@ def _small(compression: CompressionType, in_chunks: bool) -> bytes:
 
 
 def _bag() -> bytes:
-    bag = sqlite3.connect(":memory:")
-    bag.executescript(
-        "PRAGMA page_size = 512;"
-        "CREATE TABLE topics(id INTEGER PRIMARY KEY, name, type, serialization_format, offered_qos_profiles);"
-        "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id, timestamp, data);"
-        "INSERT INTO topics VALUES (1, '/scan', 'std_msgs/msg/String', 'cdr', '')"
-    )
-    rows = [(1, 10**18 + number, b"\0\1\0\0" + bytes(range(number, number + 48))) for number in range(20)]
-    bag.executemany("INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)", rows)
-    bag.commit()
-    return bag.serialize()
+    with closing(sqlite3.connect(":memory:")) as bag:
+        bag.executescript(
+            "PRAGMA page_size = 512;"
+            "CREATE TABLE topics(id INTEGER PRIMARY KEY, name, type, serialization_format, offered_qos_profiles);"
+            "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id, timestamp, data);"
+            "INSERT INTO topics VALUES (1, '/scan', 'std_msgs/msg/String', 'cdr', '')"
+        )
+        rows = [(1, 10**18 + number, b"\0\1\0\0" + bytes(range(number, number + 48))) for number in range(20)]
+        bag.executemany("INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)", rows)
+        bag.commit()
+        return bag.serialize()
 
 
 _SEEDS = (
