@@ -14,7 +14,7 @@ from rsb_bridge.ros.self_test import findings
 
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"  # read by each context that joins a domain
 
-from tests.ros.domains import DOMAIN
+from tests.support.locks import domains_of
 from tests.support.participants import KnownNode
 from tests.support.spun import Joined, Spun
 
@@ -31,7 +31,9 @@ def open_node() -> Iterator[Callable[..., RosNode]]:
     """Start our nodes; they are stopped at the end."""
     nodes: list[RosNode] = []
 
-    def start(domain_id: int = DOMAIN, name: str = "robot1") -> RosNode:
+    def start(domain_id: int = 0, name: str = "robot1") -> RosNode:
+        # Not earlier: pytest imports some of these for the process that only hands tests out, which would hold domains.
+        domain_id = domain_id or domains_of("nodes")
         node = KnownNode(domain_id, name)
         node.start()
         nodes.append(node)
@@ -72,11 +74,11 @@ def told(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str
 
 @pytest.fixture
 def rclpy_node() -> Iterator[Node]:
-    with contextlib.closing(Joined(DOMAIN, "stock")) as stock:
+    with contextlib.closing(Joined(domains_of("nodes"), "stock")) as stock:
         yield stock.node
 
 
 @pytest.fixture
 def stock() -> Iterator[Node]:
-    with contextlib.closing(Spun(DOMAIN, "stock", start_parameter_services=False)) as stock:
+    with contextlib.closing(Spun(domains_of("nodes"), "stock", start_parameter_services=False)) as stock:
         yield stock.node

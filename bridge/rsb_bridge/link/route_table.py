@@ -42,7 +42,7 @@ from rsb_bridge.tasks import in_slices
 from rsb_bridge.wire import messages as wire
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
 
     from rsb_bridge.link.base_link import BaseLink
     from rsb_bridge.model.session import Identity, Topic
@@ -356,7 +356,7 @@ class RouteTable(Extension):
         """
         link = self._link
         theirs, known = authorized(proposal, link)
-        before = known = known or self._listed_as(theirs)
+        before = known = known or _listed_as(theirs, self._link.routes.values())
         if known is not None and known.proposed_here:
             self._settle_double(known, theirs)
             known = None if known.proposed_here else known
@@ -379,11 +379,6 @@ class RouteTable(Extension):
             self._tell_pause(route)  # an operator of this side changed it while the link was down
         link.spawn(self.openings.accept(route, proposal))
         self.peer_operators.proposed(route, proposal, edited=before is not None)
-
-    def _listed_as(self, theirs: Entry) -> Route | None:
-        """Return the route that this side proposes of the same topic under another name on the server, or None."""
-        identity, routes = theirs.topic.identity, self._link.routes.values()
-        return next((each for each in routes if each.proposed_here and each.spec.identity == identity), None)
 
     def _settle_double(self, known: Route, entry: Entry) -> None:
         """Decide about a topic that both sides propose. The peer comes to the same end.
@@ -528,3 +523,9 @@ def _lead(route: Route) -> None:
     """Have this side propose a route again, if its session lists it."""
     if route.here is not None:
         route.enter(route.here, None)
+
+
+def _listed_as(theirs: Entry, routes: Iterable[Route]) -> Route | None:
+    """Return the route that this side proposes of the same topic under another name on the server, or None."""
+    identity = theirs.topic.identity
+    return next((each for each in routes if each.proposed_here and each.spec.identity == identity), None)
