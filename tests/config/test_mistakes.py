@@ -16,7 +16,7 @@ from rsb_bridge.config.session_file import SessionError, load, parse, validate, 
 from rsb_bridge.config.topic_rules import TopicMistake
 from rsb_bridge.config.validation import SessionMistake
 from rsb_bridge.config.yaml_text import FileProblem, YamlMistake
-from rsb_bridge.model.limits import CHANNEL, DEPTH, DOMAIN, OUTLIVE, PORT, RATE
+from rsb_bridge.model.limits import CHANNEL, DEPTH, DOMAIN, OUTLIVE, PACE, PORT, RATE
 from rsb_bridge.model.names import ANNOUNCEMENT_TOPIC, TypeNameProblem
 from rsb_bridge.model.qos import QosProblem
 from rsb_bridge.model.session import Session, Topic
@@ -133,9 +133,10 @@ def test_mistake_of_topic_has_its_line_and_key(fields: str, code: Wording, param
         (SERVER + "ports: [12001, x]\n", "6 ports[1]", ValueMistake.MISFIT, {"value": "'x'"}),
         (SERVER + "ports: nine\n", "6 ports", ValueMistake.MISFIT, {"value": "'nine'"}),
         (CLIENT + "stale_warnings: -1\n", "6 stale_warnings", SessionMistake.STALE_WARNINGS_NEGATIVE, {"count": -1}),
-        (CLIENT + "outlive: -1\n", "6 outlive", SessionMistake.OUTLIVE_OUT_OF_RANGE, {"value": -1.0, "range": OUTLIVE}),
+        (CLIENT + "outlive: -1\n", "6 outlive", SessionMistake.OUT_OF_RANGE, {"value": -1.0, "range": OUTLIVE}),
+        (CLIENT + "pace: 0.03\n", "6 pace", SessionMistake.OUT_OF_RANGE, {"value": 0.03, "range": PACE}),
         (BLUETOOTH + "multipath: true\n", "6 multipath", SessionMistake.MULTIPATH_UNKNOWN, {"medium": "Bluetooth"}),
-        (CLIENT + "outlive: 86401\n", "6 outlive", SessionMistake.OUTLIVE_OUT_OF_RANGE, {"range": OUTLIVE}),
+        (CLIENT + "outlive: 86401\n", "6 outlive", SessionMistake.OUT_OF_RANGE, {"range": OUTLIVE}),
         (CLIENT + "shutdown_topic: shutdown\n", "6 shutdown_topic", NameMistake.NOT_ABSOLUTE, {}),
         (CLIENT + "clients: [{name: robot2}]\n", "2 role", SessionMistake.CLIENTS_OF_CLIENT, {}),
         (CLIENT + "encryption_key: abc\n", "6 encryption_key", ValueMistake.SECRET_KEY, {}),

@@ -145,7 +145,7 @@ def test_description_behind_another_clients_is_taken(open_node: Callable[..., Ro
         return caller.ask_description("/described", odd, "", lambda: True)
 
     assert odd in eventually(ask, what="our description")
-    assert others
+    eventually(lambda: others, what="theirs")
 
 
 def test_invalid_messages_of_peer_are_refused_or_unread(

@@ -69,12 +69,7 @@ _NOT_OF_CALLS = {
     "expected_rate": ForeignKey.EXPECTED_RATE_OF_CALLED(),
     "stale_after": ForeignKey.STALE_AFTER_OF_CALLED(),
     "late_after": ForeignKey.LATE_AFTER_OF_CALLED(),
-    "limits": ForeignKey.OF_TOPICS_ONLY(),
     "keep": ForeignKey.KEEP_OF_CALLED(),
-    "beat": ForeignKey.OF_TOPICS_ONLY(),
-    "lazy": ForeignKey.OF_TOPICS_ONLY(),
-    "renew": ForeignKey.OF_TOPICS_ONLY(),
-    "express": ForeignKey.OF_TOPICS_ONLY(),
     "priority": ForeignKey.PRIORITY_OF_CALLED(),
 }
 
@@ -82,12 +77,12 @@ _NOT_OF_CALLS = {
 def hints_of(kind: Kind) -> dict[str, str]:
     """Return the remedies for keys that only entries of other kinds have."""
     others_only = ForeignKey.OF_CALLS_ONLY() if kind == "topic" else ForeignKey.OF_TOPICS_ONLY()
-    of_features = {name: others_only for name in ADDED_KEYS if not TOPIC_KEYS[name].is_of(kind)}
+    usual = {name: others_only for name, key in TOPIC_KEYS.items() if not key.is_of(kind)}
     if kind == "topic":
-        return _NOT_OF_TOPICS | of_features
+        return usual | _NOT_OF_TOPICS
     name = NAME_KEYS[LISTS[kind]]
     others = [(other, key) for other, key in NAME_KEYS.items() if key != name]
-    hints = _NOT_OF_CALLS | of_features
+    hints = usual | _NOT_OF_CALLS
     hints |= {key: ForeignKey.LIST_UNDER(list=other, key=name) for other, key in others}
     hints |= {f"remote_{key}": ForeignKey.OTHER_REMOTE(key=f"remote_{name}") for _, key in others}
     return hints | ({"type": ForeignKey.TYPE_OF_PARAMETERS()} if kind == "parameters" else {})

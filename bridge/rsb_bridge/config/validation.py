@@ -67,8 +67,7 @@ class SessionMistake(Wording):
     PORT_MISSING = "missing, or 0: give a {kind}, {range}"
     DOMAIN_INVALID = "{domain} is not a ROS domain: {range}"
     DOMAIN_VARIABLE_INVALID = "ROS_DOMAIN_ID is {value}, which is not a ROS domain: {range}"
-    PACE_OUT_OF_RANGE = "{value} is out of range: {range} s"
-    OUTLIVE_OUT_OF_RANGE = "{value} is out of range: {range} s"
+    OUT_OF_RANGE = "{value} is out of range: {range} s"
     MULTIPATH_UNKNOWN = "a link over {medium} has one way only: leave it out"
     STALE_WARNINGS_NEGATIVE = "{count} is not a count: 0 or more"
     PROFILE_ON_BLUETOOTH = "{profile} is no Bluetooth link (server_ip is a MAC): give bluetooth, or leave profile out"
@@ -200,10 +199,9 @@ def _session(session: Session) -> Iterator[Problem]:
     yield from range_problems(session)
     if session.stale_warnings < 0:
         yield Problem("stale_warnings", SessionMistake.STALE_WARNINGS_NEGATIVE(count=session.stale_warnings))
-    if session.outlive is not None and session.outlive not in OUTLIVE:
-        yield Problem("outlive", SessionMistake.OUTLIVE_OUT_OF_RANGE(value=session.outlive, range=OUTLIVE))
-    if session.pace not in PACE:
-        yield Problem("pace", SessionMistake.PACE_OUT_OF_RANGE(value=session.pace, range=PACE))
+    for key, seconds, allowed in (("outlive", session.outlive, OUTLIVE), ("pace", session.pace, PACE)):
+        if seconds is not None and seconds not in allowed:
+            yield Problem(key, SessionMistake.OUT_OF_RANGE(value=seconds, range=allowed))
     if session.multipath and not link.several_ways:
         yield Problem("multipath", SessionMistake.MULTIPATH_UNKNOWN(medium=link.medium))
     profiles = [("profile", session.profile)]

@@ -47,9 +47,9 @@ class StreamDialer(Protocol):
 class ClientChannels(DataChannels):
     """The client's end of a connection, which opens the streams and sockets."""
 
-    def __init__(self, link: CarriedLink, opener: StreamDialer, control: ControlChannel, keys: SessionKeys) -> None:
+    def __init__(self, link: CarriedLink, dialer: StreamDialer, control: ControlChannel, keys: SessionKeys) -> None:
         super().__init__(link, control, keys)
-        self._opener = opener
+        self._dialer = dialer
         self._opening: dict[tuple[str, int], asyncio.Task[None]] = {}
         self._wanted = 0  # streams that these tasks open, and that have their descriptors yet to take
         self._udp_retry: asyncio.TimerHandle | None = None
@@ -140,7 +140,7 @@ class ClientChannels(DataChannels):
         host = control.stream.host if transport is link.transport else transport.host(link.context.session)
         # Ranks as of topics: over some transports, small messages go ahead of large ones.
         rank = -1 if large and not transport.multiplexed else 0
-        return await self._opener.open(transport, host, port, connection, let_in, rank, self.session_keys.sample_secret)
+        return await self._dialer.open(transport, host, port, connection, let_in, rank, self.session_keys.sample_secret)
 
     def _open_udp(self, transport: DatagramTransport, port: int) -> ClientUdpChannel | None:
         link, address = self._link, self.control.stream.address
@@ -153,9 +153,9 @@ class ClientChannels(DataChannels):
                 channel = ClientUdpChannel(self, transport, server)
             except OSError as error:
                 failure = f"UDP to {transport.format_address(server)}: {os_error_message(error)}"
-        if failure and failure != self._opener.udp_failure:  # it is tried each second; one event is enough
+        if failure and failure != self._dialer.udp_failure:  # it is tried each second; one event is enough
             link.log_of_peer(Level.ERROR, EventCode.LINK_UDP_BLOCKED, failure)
-        self._opener.udp_failure = failure
+        self._dialer.udp_failure = failure
         if failure:
             self._udp_retry = self._udp_retry or link.context.loop.call_later(_UDP_RETRIED_AFTER, self._retry_udp)
             return None

@@ -78,7 +78,7 @@ class InternalRoutes(Generic[SourceT, DrainT]):
             raise LinkError(str(problem))
         carrier = link.context.transports[transport_of(entry, session).name]
         proposal = proposal_of(
-            entry, carrier, client_name=link.name, use_name=False, profile=link.end.profile, purpose=self._purpose
+            entry, carrier, client_name=link.name, use_name=False, profile=link.profile, purpose=self._purpose
         )
         return self._table.add(Entry(entry, proposal), proposed_here=True)
 

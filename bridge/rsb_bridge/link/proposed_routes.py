@@ -138,7 +138,7 @@ class ProposedTopics(Extension):
         for problem in validate_topic(topic, session, client=link.name if prefixed else None):
             raise LinkError(str(problem))
         transport = self._context.transports[transport_of(topic, session).name]
-        proposal = proposal_of(topic, transport, client_name=link.name, use_name=prefixed, profile=link.end.profile)
+        proposal = proposal_of(topic, transport, client_name=link.name, use_name=prefixed, profile=link.profile)
         check_features(use_of(proposal, is_client=link.is_client), session)
         return Entry(topic, proposal)
 

@@ -43,8 +43,8 @@ def histories_that_shrink(environment: MutableMapping[str, str]) -> Iterator[Non
     Other middlewares ignore the variables. They are removed again, since children of this process inherit what stays.
 
     A reader must not free messages: after a writer of another DDS has withdrawn a message of which parts had come, Fast
-    DDS (2.14.5) still reads the message, and the process may crash. ``DYNAMIC_REUSABLE`` keeps the
-    memory, but allocates nothing before it is needed.
+    DDS (2.14.5) still reads the message, and the process may crash. ``DYNAMIC_REUSABLE`` keeps the memory, but
+    allocates nothing before it is needed.
     """
     if any(name in environment for name in (*PROFILE_VARIABLES, _QOS_VARIABLE)) or any(
         path.exists() for path in _FOUND_BY_FAST_DDS

@@ -365,32 +365,20 @@ class RosNode:
 
     @large_blocks_kept()
     def _serve(self, participant: Participant) -> None:
-        turns, arrivals, pacing = self.turns, participant.arrivals, self.turns.pacing
+        turns, pacing = self.turns, self.turns.pacing
         try:
             while self._participant is participant:
                 # Before the wait: what is reported then is there.
                 while self._retired:
                     participant.free(self._retired.popleft())
                 # Unwatched, it waits without end: no timer wakes a quiet side.
-                rest = pacing.rest(time.monotonic())
+                rest = pacing.rest(time.monotonic()) if pacing.apart else 0.0
                 addresses, graph_changed = participant.wait(LONGEST_WAIT if turns.watched else None, rest)
                 if turns.watched:
                     turns.turned()
                 if addresses:
                     pacing.turned(time.monotonic())
-                    turns.gathering = threading.get_ident() if len(addresses) > 1 else 0
-                try:
-                    for address in addresses:
-                        # A sink of this turn may have closed others, or stopped the node.
-                        drain = self._drains.get(address)
-                        if drain is None or self._participant is not participant:
-                            continue
-                        after = drain.deliver(arrivals.repeats)
-                        if after is not None:
-                            arrivals.look_again(address, after)
-                finally:
-                    if turns.gathering:
-                        turns.gathered()
+                    self._take(participant, addresses)
                 if graph_changed:
                     self._on_graph_change()
         except Exception as error:  # noqa: BLE001 — no error may end the thread unnoticed
@@ -398,6 +386,23 @@ class RosNode:
             self._on_failure(self._failure)
         finally:
             self._leave(participant)
+
+    def _take(self, participant: Participant, addresses: Sequence[int]) -> None:
+        """Take from endpoints that something has come to. What several have brought is handed on together."""
+        turns, arrivals = self.turns, participant.arrivals
+        turns.gathering = threading.get_ident() if len(addresses) > 1 else 0
+        try:
+            for address in addresses:
+                # A sink of this turn may have closed others, or stopped the node.
+                drain = self._drains.get(address)
+                if drain is None or self._participant is not participant:
+                    continue
+                after = drain.deliver(arrivals.repeats)
+                if after is not None:
+                    arrivals.look_again(address, after)
+        finally:
+            if turns.gathering:
+                turns.gathered()
 
     def _leave(self, participant: Participant) -> None:
         with self._lock:

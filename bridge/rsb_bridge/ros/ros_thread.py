@@ -62,18 +62,18 @@ class RosTurns:
         self.count = 0
         self.pacing = TurnPacing()
         self.gathering = 0
-        self._gathered: dict[Callable[[], None], None] = {}
+        self._hand_on: Callable[[], None] | None = None
         self.at = self.since = float("inf")
 
     def hand_on_later(self, hand_on: Callable[[], None]) -> None:
-        """Have what was gathered handed on. Called on the ROS thread while it gathers."""
-        self._gathered[hand_on] = None
+        """Have what was gathered handed on. Called on the ROS thread while it gathers, by the one queue behind it."""
+        self._hand_on = hand_on
 
     def gathered(self) -> None:
         """Hand on what the thread has gathered."""
         self.gathering = 0
-        while self._gathered:
-            hand_on, _ = self._gathered.popitem()
+        hand_on, self._hand_on = self._hand_on, None
+        if hand_on is not None:
             hand_on()
 
     def watch(self, watcher: Hashable) -> None:

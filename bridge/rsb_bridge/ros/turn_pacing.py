@@ -21,19 +21,20 @@ class TurnPacing:
 
     Attributes:
         longest: s between two turns at the most; 0 if none waits.
+        apart: s between the last turn and the next one at least.
     """
 
     def __init__(self) -> None:
         self.longest = APART
-        self._apart = 0.0
+        self.apart = 0.0
         self._last = -math.inf
 
     def turned(self, now: float) -> None:
         """Note a turn with messages at `now` (s)."""
         grows = now - self._last < self.longest + _OFTEN
-        self._apart = min(self._apart + _GROWS, self.longest) if grows else max(self._apart - _SHRINKS, 0.0)
+        self.apart = min(self.apart + _GROWS, self.longest) if grows else max(self.apart - _SHRINKS, 0.0)
         self._last = now
 
     def rest(self, now: float) -> float:
         """Return for how long (s) the next turn waits at `now` (s)."""
-        return max(0.0, self._last + self._apart - now) if self._apart else 0.0
+        return max(0.0, self._last + self.apart - now)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -13,7 +12,7 @@ from rsb_extras.pictures.blocks import image_rows, wished_pixels
 from rsb_extras.pictures.cell_image import fine_for, image_of, is_drawn, styles_in
 from rsb_extras.pictures.graphics import USUAL_CELL, protocol_of
 from rsb_extras.pictures.picture import Cells, Pixels, sized
-from rsb_extras.pictures.picture_rows import UnreadableError
+from rsb_extras.pictures.picture_rows import UnreadableError, has_pillow
 
 if TYPE_CHECKING:
     from rsb_extras.pictures.cell_image import Marked
@@ -92,11 +91,11 @@ class ImageStyle:
         """Return a picture as an image; one of a map or a plot has an operator's sign or the cursor on it.
 
         Raises:
-            UnreadableError: the other side sends for pixels, for which nobody asked, and Pillow is missing.
+            UnreadableError: the other side has sent a map for pixels unasked, and Pillow is missing.
         """
         if isinstance(content, Pixels):
             return content
-        if find_spec("PIL") is None:
+        if not has_pillow():
             raise UnreadableError(StyleText.NO_PILLOW())
         inks, size = self._pane.inks(styles_in(content), self._cell), (wish.width, wish.height)
         return await asyncio.to_thread(image_of, content, size, wish.shape, inks, cursor=cursor, mark=mark)

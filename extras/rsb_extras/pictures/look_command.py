@@ -30,7 +30,7 @@ from rsb_extras.pictures.look_requests import EndLook, LookAtTopics
 from rsb_extras.pictures.paper import Paper
 from rsb_extras.pictures.picture import Picture, Pixels, Wish, in_full, sized
 from rsb_extras.pictures.picture_files import FORMATS, picture_file
-from rsb_extras.pictures.picture_rows import UnreadableError, picture_rows, reads_webp
+from rsb_extras.pictures.picture_rows import UnreadableError, has_pillow, picture_rows
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -264,7 +264,7 @@ def _wish(arguments: Namespace) -> Wish:
         colour=arguments.colour,
         seconds=arguments.seconds,
         match=arguments.match,
-        webp=reads_webp(),
+        webp=has_pillow(),
     )
     is_file = arguments.output is not None and arguments.output.suffix == ".png"
     facts = arguments.facts

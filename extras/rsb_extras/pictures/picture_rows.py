@@ -92,8 +92,8 @@ class UnreadableError(ValueError):
     """The bytes of an image are not what they should be."""
 
 
-def reads_webp() -> bool:
-    """Whether images in WebP can be shown."""
+def has_pillow() -> bool:
+    """Whether images in WebP can be read, and maps and plots drawn as images."""
     return find_spec("PIL") is not None
 
 

@@ -30,7 +30,7 @@ from rsb_extras.pictures.picture import (
     split_field,
 )
 from rsb_extras.pictures.picture_files import SVG_SHAPE, formats_of, picture_file, squared, svg
-from rsb_extras.pictures.picture_rows import AXIS, Part, UnreadableError, picture_rows, reads_webp
+from rsb_extras.pictures.picture_rows import AXIS, Part, UnreadableError, has_pillow, picture_rows
 from rsb_extras.pictures.picture_source import PictureSource
 from rsb_extras.pictures.tile import FRAME, Tile, joined
 from rsb_extras.pictures.wish_keys import CHANGES
@@ -99,7 +99,7 @@ class PictureTile(Tile):
         self._source = PictureSource(console, subject.link)
         self._look = ImageStyle(self)
         self._goal = GoalKeys()
-        self._wish = msgspec.structs.replace(subject.wish, webp=reads_webp())
+        self._wish = msgspec.structs.replace(subject.wish, webp=has_pillow())
         self._viewed: Viewed | None = None
         self._image: Pixels | None = None
         """The image in sight."""
