@@ -243,6 +243,21 @@ def test_end_of_bridge_is_told_next_is_attached(machine: Machine) -> None:
     assert numbers == list(range(1, len(EVENTS) * 2 + 3)), "its own count goes on with any server"
 
 
+def test_console_that_writes_before_it_reads_hears_the_goodbye(machine: Machine) -> None:
+    """A broken pipe would take from it what it has not read yet."""
+    served = machine.serve()
+    with control_sockets.connect(machine.folder / "robot1.sock", 60.0) as connection:
+        connection.sendall(protocol.encode(protocol.ConsoleHello(protocol.VERSION, "0.1.0")))
+        ending = threading.Thread(target=served.close, args=("the bridge was stopped",))
+        ending.start()
+        eventually(lambda: b"the bridge was stopped" in connection.recv(100_000, socket.MSG_PEEK))
+        connection.sendall(protocol.encode(protocol.PollState()))
+        frames = protocol.frames_to_console()
+        assert protocol.Goodbye("the bridge was stopped") in list(frames.feed(connection.recv(100_000)))
+        assert connection.recv(1000) == b""
+    ending.join()
+
+
 def test_step_that_raises_is_reported_then_attaches_again(machine: Machine) -> None:
     def fail(_: str) -> None:
         raise ValueError("a mistake")

@@ -59,7 +59,7 @@ class Thin:
     def close(self) -> None:
         self.closing = True
 
-    abort = close
+    abort = close_lingering = close
 
 
 async def follow(rate: float, seconds: float, *, answers: bool = True) -> Thin:

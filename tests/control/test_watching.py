@@ -48,7 +48,7 @@ class Taking:
     def close(self) -> None:
         raise AssertionError("it goes on")
 
-    abort = close
+    abort = close_lingering = close
 
 
 def told(summarize: Callable[[float], bytes], seconds: float, *, stalls: bool = False) -> list[bytes]:

@@ -95,6 +95,9 @@ class AcceptedConnection(Protocol):
     def close(self) -> None:
         """Close once what waits is sent."""
 
+    def close_lingering(self) -> None:
+        """Close once what waits is sent, and the console has had time to read it."""
+
     def abort(self) -> None:
         """Close, and forget what waits."""
 
@@ -178,6 +181,8 @@ class AttachedConsole:
         self._operator = ActingOperator("", "")
         self._welcomed = False
         self._tasks = Tasks(self._loop, self.abort)
+        self._ended = False
+        """Whether it was sent the goodbye."""
         self._requests = 0
         self._cancellable: dict[int, asyncio.Future[Any]] = {}
         """The engine's answers to these commands that are still to come, by the requests' ids."""
@@ -191,6 +196,8 @@ class AttachedConsole:
         Raises:
             ProtocolError: the console breaks the protocol.
         """
+        if self._ended:
+            return
         for message in self._frames.feed(data):
             self._handle(message)
 
@@ -209,7 +216,7 @@ class AttachedConsole:
 
     def send(self, message: ToConsole) -> None:
         """Hand a message to the connection, or keep it until that takes it."""
-        if self._connection.closing:
+        if self._ended or self._connection.closing:
             return
         self._connection.write(protocol.encode(message))
         if self._connection.buffered > _WAITING_BYTES + protocol.TO_CONSOLE_LIMIT:
@@ -223,7 +230,8 @@ class AttachedConsole:
         while self._send_events(protocol.EVENTS_AT_ONCE):
             pass
         self.send(protocol.Goodbye(reason))
-        self._connection.close()
+        self._ended = True
+        self._connection.close_lingering()
 
     # --- messages from it
 

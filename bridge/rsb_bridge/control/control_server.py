@@ -15,7 +15,15 @@ import msgspec
 
 from rsb_bridge.control import protocol
 from rsb_bridge.control.attached_console import AttachedConsole
-from rsb_bridge.control.control_sockets import AttachProblem, identify, may_control, peer_of, run_as, user_name
+from rsb_bridge.control.control_sockets import (
+    AttachProblem,
+    close_lingering,
+    identify,
+    may_control,
+    peer_of,
+    run_as,
+    user_name,
+)
 from rsb_bridge.control.protocol import ControlProtocolError
 from rsb_bridge.control.states import EncodedRoutes
 from rsb_bridge.model.clock import Clock
@@ -218,6 +226,9 @@ class _OfThisMachine:
 
     def close(self) -> None:
         self._writer.close()
+
+    def close_lingering(self) -> None:
+        close_lingering(self._writer.transport, _SAID_WITHIN)
 
     def abort(self) -> None:
         self._writer.transport.abort()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import errno
 import fcntl
@@ -241,6 +242,19 @@ def peer_of(connection: socket.socket) -> tuple[int, int, int]:
     """Return the pid, uid and gid of a Unix socket's other side, as the kernel noted them when it connected."""
     pid, uid, gid = _PEER.unpack(connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _PEER.size))
     return pid, uid, gid
+
+
+def close_lingering(transport: asyncio.WriteTransport, within: float) -> None:
+    """Send what waits, and close once the other end has closed, or after `within` seconds.
+
+    What was closed at once would fail the other end's next write, and asyncio then drops what it has not read yet.
+    """
+    try:
+        transport.write_eof()
+    except (OSError, NotImplementedError):  # it is broken, or the network knows no end of one direction
+        transport.close()
+    else:
+        asyncio.get_running_loop().call_later(within, transport.abort)
 
 
 @contextlib.contextmanager

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, TypeAlias, cast
 
 from rsb_bridge.control import protocol
 from rsb_bridge.control.attached_console import AttachedConsole
-from rsb_bridge.control.control_sockets import ControlError
+from rsb_bridge.control.control_sockets import ControlError, close_lingering
 from rsb_bridge.control.protocol import ControlProtocolError
 from rsb_bridge.link.pending_connections import ConnectionStage, Limits, PendingConnection, PendingConnections
 from rsb_bridge.model.budgets import TokenBucket
@@ -338,6 +338,10 @@ class SealedConsole(PendingConnection, asyncio.Protocol):
     def close(self) -> None:
         """Close once what waits is sent."""
         self._transport.close()
+
+    def close_lingering(self) -> None:
+        """Close once what waits is sent, and the console has had time to read it."""
+        close_lingering(self._transport, _TOLD_WITHIN)
 
     def abort(self) -> None:
         """Close, and forget what waits."""
