@@ -1,9 +1,9 @@
-"""Measures how a session goes on after a reset: ``python -m bench.resume [TOPICS...] [--moves N]``.
+"""Measures how an association goes on after a reset: ``python -m bench.resume [TOPICS...] [--moves N]``.
 
 Two bridges, each a process, carry topics of DDS in both directions, half of them each, through a relay that resets all
 connections. Right after that, each topic publishes one message of 100 bytes. Printed are, as medians of five resets:
 ms from the reset to the last topic's message, and the bytes in both directions until then. The same is printed without
-a reset, and with `outlive` 0, where a new session begins, and a topic publishes every 20 ms until a message comes.
+a reset, and with `outlive` 0, where a new association begins, and a topic publishes every 20 ms until a message comes.
 
 Then one pair of bridges is moved N times (1,000), with a message of each topic after each reset. Printed are memory,
 descriptors, tasks and the objects of the program before and after, and how many endpoints of all topics have come or
@@ -75,7 +75,7 @@ def main() -> None:
     options = parser.parse_args()
     print(f"{'topics':>8} {'':>16} {'ms':>8} {'bytes':>10} {'a topic':>8}")
     for count in options.topics:
-        for outlive, name in ((60.0, "goes on"), (0.0, "new session")):
+        for outlive, name in ((60.0, "goes on"), (0.0, "new association")):
             with _bridged(count, outlive) as bridged:
                 if outlive:
                     _row(count, "no reset", [bridged.measure(reset=False) for _ in range(_RESETS)])

@@ -28,7 +28,7 @@ from rsb_bridge.channel.window import ReceiptBook, Window
 from rsb_bridge.route.sending import QueueLimits, SendQueue
 from rsb_bridge.transport import udp
 from rsb_bridge.wire.framing import Budget
-from rsb_bridge.wire.sealing import CipherSuite, SessionKeys
+from rsb_bridge.wire.sealing import CipherSuite, ConnectionKeys
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -182,7 +182,7 @@ class Connection:
 
 
 def _keys(role: Role) -> DataKeys:
-    keys = SessionKeys(CipherSuite.AESGCM, bytes(32), _LINK)
+    keys = ConnectionKeys(CipherSuite.AESGCM, bytes(32), _LINK)
     keys.proposed(Route.id, "client")
     return DataKeys(keys, role, Budget(256 << 20))
 

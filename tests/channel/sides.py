@@ -9,7 +9,7 @@ from contextlib import asynccontextmanager
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from tests.support.session_keys import session_keys
+from tests.support.connection_keys import connection_keys
 
 from rsb_bridge.channel.data_keys import DataKeys
 from rsb_bridge.channel.data_stream import StreamPair, stream_channel, take_receipts
@@ -103,7 +103,7 @@ class Side:
         self.deaf = False
         self.closed: set[int] = set()
         self.routes: dict[int, Route] = {}
-        self.keys = DataKeys(session_keys(CipherSuite.AESGCM, _EXPORT), role, Budget(64 << 20))
+        self.keys = DataKeys(connection_keys(CipherSuite.AESGCM, _EXPORT), role, Budget(64 << 20))
         self.probe = PathProbe(self.keys)
         self.now = asyncio.get_running_loop().time
         self.ahead = 0.0

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 from tests.channel.sides import Route, by_sockets, connected
+from tests.support.connection_keys import connection_keys
 from tests.support.constants import STREAM_DEAD_AFTER, STREAM_STALLED_AFTER
 from tests.support.coroutines import until
-from tests.support.session_keys import session_keys
 
 from rsb_bridge.channel.data_stream import LARGE
 from rsb_bridge.model.reason import EndCode, Reason
@@ -291,7 +291,7 @@ async def test_both_lost_with_messages_in_transit(
 
 @pytest.mark.parametrize("ever", [False, True])
 async def test_streams_that_deliver_nothing_are_down(ever: bool) -> None:
-    """A route waits as long as the session would, but operators hear of it before."""
+    """A route waits as long as the association would, but operators hear of it before."""
     async with connected(Route(1, outgoing=True)) as (near, far):
         channel = near.routes[1].channel
         if ever:
@@ -363,7 +363,7 @@ async def test_streams_that_do_not_come_are_given_up() -> None:
 async def test_peer_that_resumes_wrongly_loses_stream(breach: str) -> None:
     async with connected(Route(1, outgoing=True)) as (near, far):
         role: Role = "server" if breach == "against the route" else "client"
-        keys = session_keys(CipherSuite.AESGCM, bytes(range(32)), routes=(1,))
+        keys = connection_keys(CipherSuite.AESGCM, bytes(range(32)), routes=(1,))
         writer = DataWriter(keys.route_sealer(1, role), 1)
         sender, receiver = (far, near) if role == "server" else (near, far)
         out = stream_of(sender, "small").stream

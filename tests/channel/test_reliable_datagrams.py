@@ -18,7 +18,7 @@ from rsb_bridge.channel.udp_channel import PathProbe
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause, Verdict
 from rsb_bridge.wire.framing import Budget
-from rsb_bridge.wire.sealing import CipherSuite, SessionKeys
+from rsb_bridge.wire.sealing import CipherSuite, ConnectionKeys
 
 pytestmark = pytest.mark.usefixtures("loop")
 _SIZES = (0, 10, 1_000, 1_400, 5_000, 60_000)
@@ -139,7 +139,7 @@ async def test_route_resumes_with_other_keys(whole: bool) -> None:
         export = bytes(31) + b"2"
         sockets = [RadioSocket(radio, way, 1_000_000) for way in (0, 1)]
         for side, _ in ends:
-            keys = SessionKeys(CipherSuite.AESGCM, export, b"link two")
+            keys = ConnectionKeys(CipherSuite.AESGCM, export, b"link two")
             keys.resumed((1,))
             side.keys = DataKeys(keys, side.keys.role, Budget(64 << 20))
             side.probe = PathProbe(side.keys)

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 from tests.channel.sides import Route, connected
+from tests.support.connection_keys import connection_keys
 from tests.support.coroutines import until
 from tests.support.frames import write_chunks, write_frame
-from tests.support.session_keys import session_keys
 
 from rsb_bridge.channel.data_stream import LARGE
 from rsb_bridge.model.verdict import Cause
@@ -29,7 +29,7 @@ STREAMS = pytest.mark.parametrize("two", [False, True])
 
 def _writer(role: Role, route: int = 1) -> DataWriter:
     return DataWriter(
-        session_keys(CipherSuite.AESGCM, bytes(range(32)), routes=(1, 9)).route_sealer(route, role), route
+        connection_keys(CipherSuite.AESGCM, bytes(range(32)), routes=(1, 9)).route_sealer(route, role), route
     )
 
 

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 import pytest
 from tests.channel.sides import Route
 from tests.support.acceptors import Accepting
+from tests.support.connection_keys import connection_keys
 from tests.support.coroutines import until
 from tests.support.held import held_by
 from tests.support.schedulers import LoneConnection
-from tests.support.session_keys import session_keys
 
 from rsb_bridge.channel.data_keys import DataKeys
 from rsb_bridge.channel.datagram_channel import DatagramSender
@@ -133,7 +133,7 @@ class _Far(LoneConnection):
 
 
 def _keys(link_id: bytes, role: Role) -> DataKeys:
-    return DataKeys(session_keys(CipherSuite.AESGCM, bytes(32), link_id), role, Budget(1 << 20))
+    return DataKeys(connection_keys(CipherSuite.AESGCM, bytes(32), link_id), role, Budget(1 << 20))
 
 
 @asynccontextmanager

@@ -48,7 +48,7 @@ from rsb_console.notation.ascii_signs import to_ascii
         (formats.next_attempt(replace(LINK, retry_in=1.2)), "retry 1 in 2 s"),
         (formats.next_attempt(replace(LINK, attempts=3, retry_in=0.0)), "retry 4 now"),
         (formats.waits(LINK, 100.9), ""),
-        (formats.waits(replace(LINK, session_ends=145.1), 100.9), "topics and calls wait 45 s more"),
+        (formats.waits(replace(LINK, association_ends=145.1), 100.9), "topics and calls wait 45 s more"),
         (formats.counted(1, "topic"), "1 topic"),
         (formats.counted(0, "topic"), "0 topics"),
         (formats.byte_count(0), "0 B"),

@@ -41,7 +41,7 @@ async def test_a_name_gets_the_room_of_the_history(app: ConsoleApp, pilot: Pilot
 
 @on_main(NARROW)
 async def test_narrow_table_tells_what_waits_for_link(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    away = replace(LINK, state=State.DOWN, session_ends=NOW + 47)
+    away = replace(LINK, state=State.DOWN, association_ends=NOW + 47)
     rows: dict[str, dict[str, Any]] = {
         "/alarms": {"state": State.DOWN, "cause": Cause.LINK_DOWN, "reason": "waiting 13 s, 612 kept"},
         "/odom": {
@@ -65,7 +65,7 @@ async def test_narrow_table_tells_what_waits_for_link(app: ConsoleApp, pilot: Pi
     assert "catching up, 412 left" in shown_lines["/map"]
     assert "fine" not in shown_lines["/scan"]
     assert len({len(line) for line in shown_lines.values()}) == 1
-    put(app, links=(replace(away, session_ends=None),))  # nothing waits for it any more
+    put(app, links=(replace(away, association_ends=None),))  # nothing waits for it any more
     assert "612" not in lines()["/alarms"]
     assert "412 left" in lines()["/map"]
 

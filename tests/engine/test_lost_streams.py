@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from rsb_bridge.link.data_channels import DataChannels
     from rsb_bridge.model.session import Direction
     from rsb_bridge.transport.streams import Stream
-    from rsb_bridge.wire.sealing import SessionKeys
+    from rsb_bridge.wire.sealing import ConnectionKeys
 
 
 def cut(engine: Engine, *, large: bool) -> None:
@@ -171,7 +171,7 @@ def test_connection_that_failed_internally_is_tried_again(
     made = side.new_channels
     fails = iter([MemoryError("no room")])
 
-    def make(end: Any, control: ControlChannel, keys: SessionKeys) -> DataChannels:
+    def make(end: Any, control: ControlChannel, keys: ConnectionKeys) -> DataChannels:
         for error in fails:
             raise error
         return made(end, control, keys)

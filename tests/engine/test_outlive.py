@@ -15,7 +15,7 @@ from tests.support.inside import inside
 from tests.support.steady import Steady
 from tests.support.waiting import eventually
 
-from rsb_bridge.link.link_session import LinkSession
+from rsb_bridge.link.association import Association
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 
@@ -102,7 +102,7 @@ def test_latched_topics_and_services_go_on(
     eventually(lambda: route(client, "/lamp").cause == "no_call")
 
 
-def test_what_waits_is_dropped_when_the_session_ends(bridge: Bridge, relay: Relay, robot: Domain, pc: Domain) -> None:
+def test_what_waits_is_dropped_with_the_association(bridge: Bridge, relay: Relay, robot: Domain, pc: Domain) -> None:
     out, there = robot.publisher("/scan"), pc.listener("/scan")
     server, client = bridge.both(Topic("/scan", "transmit", qos={"depth": 100}), outlive=2.0)
     carries([out], server, ["/scan"])
@@ -179,8 +179,8 @@ def test_what_waited_overruns_no_subscription(bridge: Bridge, relay: Relay, robo
     eventually(lambda: route(client, "/events").reason.endswith(" s, 600 kept"))
     assert route(server, "/events").reason.endswith(" s for the link")
     (shown,) = client.snapshot().links
-    assert shown.session_ends is not None
-    assert shown.session_ends - client.snapshot().time < OUTLIVES
+    assert shown.association_ends is not None
+    assert shown.association_ends - client.snapshot().time < OUTLIVES
     relay.refuse(False)
 
     deadline = time.monotonic() + 60
@@ -217,18 +217,18 @@ def test_topics_of_a_link_that_is_away_share_a_limit(bridge: Bridge, relay: Rela
     assert sum(route(client, topic).ledger.dropped["outage"] for topic in topics) == 40 - delivered
 
 
-def test_client_is_refused_and_back_if_its_session_has_moved_on(
+def test_client_is_refused_and_back_if_its_association_has_moved_on(
     bridge: Bridge, relay: Relay, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The server has handled more from the connection before, after its answer on the new one."""
     server, client = bridge.both(Topic("/up", "transmit"), outlive=OUTLIVES)
     eventually(lambda: linked(client) and linked(server))
-    may_resume, answers = LinkSession.may_resume, [False, True]
+    may_resume, answers = Association.may_resume, [False, True]
 
-    def has_moved_on_once(session: LinkSession, hello: Hello) -> bool:
-        return answers.pop() if answers else may_resume(session, hello)
+    def has_moved_on_once(association: Association, hello: Hello) -> bool:
+        return answers.pop() if answers else may_resume(association, hello)
 
-    monkeypatch.setattr(LinkSession, "may_resume", has_moved_on_once)
+    monkeypatch.setattr(Association, "may_resume", has_moved_on_once)
     relay.cut()
     eventually(lambda: happened(server, EventCode.LINK_REJECTED, "moved on"))
     eventually(lambda: happened(client, EventCode.LINK_UP, "goes on") and linked(client) and linked(server))

@@ -264,7 +264,7 @@ async def test_restart_waits_for_present_topics(
     [({}, 60), ({"profile": "lte"}, 300), ({"profile": "lte", "outlive": 10.0}, 10), ({"outlive": 0.0}, 0)],
     ids=str,
 )
-def test_session_waits_as_its_profile_says(
+def test_association_waits_as_its_profile_says(
     loop: VirtualLoop, make_context: Callable[..., Context], fields: dict[str, Any], seconds: float
 ) -> None:
     link: Link = ClientRole(make_context(**fields), {"robot1": ()}).links()[0]

@@ -154,7 +154,7 @@ def test_datagram_of_stranger_costs_one_call_a_link(make_context: Callable[..., 
     server = Server(make_context(role="server"), entries, aes=False)
     for each in server.ends.values():
         pretend_linked(each.link, SimpleNamespace())
-        each.link.channels.session_keys = SimpleNamespace(link_id=os.urandom(8))  # type: ignore[assignment]
+        each.link.channels.connection_keys = SimpleNamespace(link_id=os.urandom(8))  # type: ignore[assignment]
     socket: Any = SimpleNamespace(port=1)
     channel, calls = counted(lambda: server.new_udp_channel(bytes(8), socket, ("10.0.0.66", 4242)))
     assert channel is None
@@ -168,7 +168,7 @@ def test_datagram_for_no_topic_opens_nothing_that_lasts(bridge: Bridge, own_port
     topics = [Topic("/scan", "transmit", protocol="udp", port=port)] if own_port else []
     server, client = bridge.both(*topics)
     (one,) = inside(server).role.links()
-    datagram = struct.pack(">B5xI8s24x", MAGIC, 1, one.channels.session_keys.link_id)
+    datagram = struct.pack(">B5xI8s24x", MAGIC, 1, one.channels.connection_keys.link_id)
 
     def opened() -> list[UdpChannel]:
         return [each for each in one.carriers() if isinstance(each, UdpChannel)]

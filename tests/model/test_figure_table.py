@@ -10,7 +10,7 @@ from rsb_bridge.model.figure_table import FIGURES, Of, Unit
 
 SCAN = route("/scan")
 SUBJECTS = {
-    Of.LINK: replace(LINK, session_ends=60.0),
+    Of.LINK: replace(LINK, association_ends=60.0),
     Of.ROUTE: SCAN,
     Of.MESSAGES: SCAN,
     Of.CALLS: route("/dock", calls=CALLS),

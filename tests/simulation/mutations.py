@@ -30,8 +30,8 @@ from rsb_bridge.channel.datagram_channel import DatagramEnd
 from rsb_bridge.channel.reliable_datagrams import ReliableSender
 from rsb_bridge.channel.udp_channel import ClientUdpChannel
 from rsb_bridge.channel.window import Window
+from rsb_bridge.link.association import Association
 from rsb_bridge.link.keepalive import Keepalive
-from rsb_bridge.link.link_session import LinkSession
 from rsb_bridge.link.route_ids import RouteIds
 from rsb_bridge.link.route_openings import RouteOpenings
 from rsb_bridge.model.budgets import Backoff
@@ -149,7 +149,7 @@ def _end_for_nothing(self: Any, number: int) -> Any:
 _drop = RouteLedger.drop
 _end = PendingCalls.end
 _open_resumed = DataReader.open_resumed
-_resume = LinkSession.resume
+_resume = Association.resume
 _unacknowledged = DataStream.unacknowledged
 _write_resumed = DataWriter.write_resumed
 _settle = RouteLedger.settle
@@ -169,7 +169,7 @@ def _remember_nothing(self: Any, frame: Any) -> None:
 
 
 def _anybodys(_: Any, __: Any) -> bool:
-    """Replace what a `LinkSession` asks of a process by a form that takes any for the other end of the session."""
+    """Replace what an `Association` asks of a process by a form that takes any for the other end of the association."""
     return True
 
 
@@ -193,14 +193,14 @@ def _nothing_before(_: object, __: bytes, number: int) -> int:
 
 
 def _newest_is_left_out(self: Any, *connection: Any) -> Any:
-    """Replace `LinkSession.resume` by one that leaves out the newest message but reports."""
+    """Replace `Association.resume` by one that leaves out the newest message but reports."""
     again = _resume(self, *connection)
     newest = next((each for each in reversed(again) if not isinstance(each, Report)), None)
     return tuple(each for each in again if each is not newest)
 
 
 def _newest_is_doubled(self: Any, *connection: Any) -> Any:
-    """Replace `LinkSession.resume` by one that sends the newest message twice."""
+    """Replace `Association.resume` by one that sends the newest message twice."""
     again = _resume(self, *connection)
     return (*again, *again[-1:])
 
@@ -339,9 +339,9 @@ MUTATIONS = (
     Mutation("messages published without a subscription are not counted",
              ((PublicationNumbers, "first", _nothing_before),), "up to the newest", _OUTLIVES, 2, 0.5),
     Mutation("a control message is not sent again",
-             ((LinkSession, "resume", _newest_is_left_out),), "disagree on which", _ONE, 1, 0.1, paused_while_away),
+             ((Association, "resume", _newest_is_left_out),), "disagree on which", _ONE, 1, 0.1, paused_while_away),
     Mutation("a control message is sent twice",
-             ((LinkSession, "resume", _newest_is_doubled),), "broke the format", _ONE, 1, 0.1, paused_while_away),
+             ((Association, "resume", _newest_is_doubled),), "broke the format", _ONE, 1, 0.1, paused_while_away),
     Mutation("a number is skipped when messages are sent again",
              ((DataWriter, "write_resumed", _resumed_too_far),), "messages with a stream", _MOVES, 1, 0.5),
     Mutation("the oldest message is not sent again",
@@ -351,7 +351,7 @@ MUTATIONS = (
     Mutation("kept messages are dropped when the link is back",
              ((Outbox, "resume", _drop_half),), "was to be kept", KEEPING, 1, 0.5),
     Mutation("handled control messages are not counted",
-             ((LinkSession, "handles", nothing),), "broke the format", _OUTLIVES, 1, 0.5),
+             ((Association, "handles", nothing),), "broke the format", _OUTLIVES, 1, 0.5),
     Mutation("routes over datagrams stay with the last connection",
              ((DatagramEnd, "resume", nothing),), "nobody caught", _OUTLIVES, 3, 0.2),
     Mutation("lost datagrams are not sent again",
@@ -360,9 +360,9 @@ MUTATIONS = (
              ((OrderedReader, "_has", _never),), "came out twice", _OUTLIVES, 3, 0.2),
     Mutation("messages overtake a lost one",
              ((OrderedReader, "_whole", _at_once),), "came out", _OUTLIVES, 3, 0.2),
-    Mutation("a session is resumed with another process",
-             ((LinkSession, "may_resume", _anybodys), (LinkSession, "resumes", _anybodys),
-              (LinkSession, "acknowledge", nothing)),
+    Mutation("an association is resumed with another process",
+             ((Association, "may_resume", _anybodys), (Association, "resumes", _anybodys),
+              (Association, "acknowledge", nothing)),
              "nobody caught|broke the format", _OUTLIVES, 1, 0.5),
 )
 # fmt: on

@@ -1,4 +1,4 @@
-"""A link moves to a better way while its old connection still carries: its session goes on."""
+"""A link moves to a better way while its old connection still carries: its association goes on."""
 
 from __future__ import annotations
 
@@ -54,8 +54,8 @@ async def test_what_the_old_connection_acknowledges_ends_nothing(yard: Yard, two
         return answers[-1]
 
     await until(lambda: link.linked, 30.0)
-    assert link.session is not None
-    session = link.session.id
+    assert link.association is not None
+    association = link.association.id
     with patch.object(Server, "_welcome", answer):
         yard.world.network.names[SERVER_NAME] = [SERVER_ADDRESS]
         await until(lambda: answers, 60.0)
@@ -64,8 +64,8 @@ async def test_what_the_old_connection_acknowledges_ends_nothing(yard: Yard, two
             link.channels.control.abort("reset")
         await until(lambda: link.connections > 1, 60.0)
     await asyncio.sleep(10.0)
-    assert link.session is not None
-    assert link.session.id == session
+    assert link.association is not None
+    assert link.association.id == association
     assert answers[0].handled < answers[1].handled
     assert (link.connections, far.connections) == (2, 2)
     assert EventCode.ENGINE_ERROR not in {*yard.codes(), *yard.codes(on_server=True)}
@@ -89,12 +89,12 @@ async def test_what_the_old_connection_still_brings_ends_nothing(yard: Yard, two
         return answers[-1]
 
     await until(lambda: link.linked, 30.0)
-    assert link.session is not None
-    session = link.session.id
+    assert link.association is not None
+    association = link.association.id
     with patch.object(Server, "_welcome", answer):
         yard.world.network.names[SERVER_NAME] = [SERVER_ADDRESS]
         await until(lambda: len(answers) > 1 and link.linked and far.linked, 60.0)
     assert answers[0].handled < answers[1].handled
-    assert link.session is not None
-    assert (link.session.id, answers[1].session) == (session, session)
+    assert link.association is not None
+    assert (link.association.id, answers[1].association) == (association, association)
     assert EventCode.ENGINE_ERROR not in {*yard.codes(), *yard.codes(on_server=True)}

@@ -16,9 +16,9 @@ from tests.simulation.world import Violation, World
 from tests.support.long import long
 from tests.support.replaced import ENCODER
 
+from rsb_bridge.link.association import MOST_BYTES, Association
 from rsb_bridge.link.client_channels import ClientChannels
 from rsb_bridge.link.client_end import ClientEnd
-from rsb_bridge.link.link_session import MOST_BYTES, LinkSession
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 from rsb_bridge.wire.codec import encode
@@ -38,7 +38,7 @@ _BUSY = replace(CALLS, faults=10.0, commands=60.0)
 @pytest.mark.parametrize("conditions", [LIVELY, STORM, _BUSY, ACTIONS, KEEPING], ids=lambda each: each.name)
 def test_nothing_stays_wrong(conditions: Conditions, seed: int) -> None:
     world = World(seed, replace(conditions, outlive=conditions.outlive or 60.0, moves=conditions.faults, nights=0.0))
-    with patch.object(LinkSession, "resume", autospec=True, side_effect=LinkSession.resume) as resumed:
+    with patch.object(Association, "resume", autospec=True, side_effect=Association.resume) as resumed:
         try:
             world.play(1800)
         except Violation as violation:
@@ -51,8 +51,8 @@ def test_link_moves_from_connections_that_carry_nothing(seed: int) -> None:
     """Only the old ones carry nothing: another one is up before either side gives the link up."""
     world = World(seed, replace(LIVELY, outlive=60.0, nights=0.0, faults=0.0, commands=0.0))
     with (
-        patch.object(LinkSession, "resume", autospec=True, side_effect=LinkSession.resume) as resumed,
-        patch.object(LinkSession, "suspend", autospec=True, side_effect=LinkSession.suspend) as suspended,
+        patch.object(Association, "resume", autospec=True, side_effect=Association.resume) as resumed,
+        patch.object(Association, "suspend", autospec=True, side_effect=Association.suspend) as suspended,
     ):
         try:
             world.play(900, connections_forgotten(world))
@@ -72,7 +72,7 @@ def test_link_stays_on_a_thin_or_slow_path(course: Callable[[World], Coroutine[N
     world = World(1, replace(STILL, outlive=60.0, topics=(2,)))
     with (
         patch.object(ClientEnd, "_connect", autospec=True, side_effect=ClientEnd._connect) as attempts,
-        patch.object(LinkSession, "resume", autospec=True, side_effect=LinkSession.resume) as resumed,
+        patch.object(Association, "resume", autospec=True, side_effect=Association.resume) as resumed,
     ):
         try:
             world.play(420.0, course(world))
@@ -143,7 +143,7 @@ def test_kept_topics_outlive_connections(
             heard[str(flow)] += flow.heard
             sent[str(flow)] = flow.sent
 
-    with patch.object(LinkSession, "suspend", autospec=True, side_effect=LinkSession.suspend) as suspended:
+    with patch.object(Association, "suspend", autospec=True, side_effect=Association.suspend) as suspended:
         try:
             world.play(180.0, course())
         except Violation as violation:
@@ -158,7 +158,7 @@ def test_kept_topics_outlive_connections(
 async def test_control_message_is_encoded_once(yard: Yard) -> None:
     """It is sent, and kept for the next connection."""
     link, message = yard.link(), Neighbours(bridges=("x",))
-    assert link.session is not None
+    assert link.association is not None
     encoder = Mock(wraps=ENCODER.value)
     with ENCODER.during(encoder):
         link.send(message)
@@ -170,33 +170,33 @@ async def test_peer_that_handles_nothing_ends_link(yard: Yard) -> None:
     """It reads all that comes, and acknowledges none of it."""
     yard.publish("/chat")
     link = yard.link()
-    assert link.session is not None
-    before, long, sent = link.session.id, Neighbours(bridges=("x" * 250,) * 64), 0
-    with patch.object(LinkSession, "acknowledge", lambda *_: None):
+    assert link.association is not None
+    before, long, sent = link.association.id, Neighbours(bridges=("x" * 250,) * 64), 0
+    with patch.object(Association, "acknowledge", lambda *_: None):
         while link.linked and sent < 2 * MOST_BYTES:
             link.send(long)
             sent += len(encode(long))
             await asyncio.sleep(0.02)
     assert 0.9 * MOST_BYTES < sent < 1.1 * MOST_BYTES
     await until(lambda: link.linked, 30.0)
-    assert link.session.id != before
+    assert link.association.id != before
     assert EventCode.ENGINE_ERROR not in yard.codes()
 
 
 @pytest.mark.bed(Topic("/chat", "transmit"), outlive=60.0)
 async def test_peer_that_denies_proposal_it_used(yard: Yard) -> None:
-    """It resumes, and says that it has handled nothing: another session begins, without an error of this side's."""
+    """It resumes, and says that it has handled nothing: another association begins, without an error of this side's."""
     yard.publish("/chat")
     await until(lambda: "/chat" in yard.routes() and yard.routes()["/chat"].connected, 30.0)
     link, far = yard.link(), yard.link(on_server=True)
-    assert link.session is not None
-    assert far.session is not None
-    before, handled = link.session.id, far.session.handled
-    with patch.object(LinkSession, "acknowledge", lambda *_: None):
+    assert link.association is not None
+    assert far.association is not None
+    before, handled = link.association.id, far.association.handled
+    with patch.object(Association, "acknowledge", lambda *_: None):
         link.table.openings.propose(yard.routes()["/chat"])
         await until(lambda: yard.routes()["/chat"].connected, 30.0)
         await asyncio.sleep(1.0)
-        far.session.handled = handled
+        far.association.handled = handled
         link.channels.control.abort("reset")
-    await until(lambda: link.linked and link.session is not None and link.session.id != before, 60.0)
+    await until(lambda: link.linked and link.association is not None and link.association.id != before, 60.0)
     assert EventCode.ENGINE_ERROR not in yard.codes()

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from tests.support import replaced
 
-from rsb_bridge.link.link_session import LinkSession
+from rsb_bridge.link.association import Association
 
 if TYPE_CHECKING:
     import asyncio
@@ -47,8 +47,8 @@ def _bridge_of(engine: Engine) -> Bridge | None:
 def pretend_linked(link: Link, control: Any) -> None:
     """Let a link have a connection of which there is only a stand-in of its control channel."""
     channels: Any = SimpleNamespace(control=control, is_silent=False, suspend=lambda _: None, close=lambda: None)
-    link.present, link.session = channels, LinkSession(bytes(8), "", channels)
-    link.outlives = link.own_outlive  # as if the peer's session were this one's
+    link.present, link.association = channels, Association(bytes(8), "", channels)
+    link.outlives = link.own_outlive  # as if the peer's association were this one's
 
 
 def renew_snapshot(engine: Engine) -> None:

@@ -24,7 +24,7 @@ from rsb_bridge.wire.sealing import PROBE_ROUTE, CipherSuite
 if TYPE_CHECKING:
     from rsb_bridge.model.purposes import Purpose
     from rsb_bridge.wire.events import Event
-    from rsb_bridge.wire.sealing import SessionKeys
+    from rsb_bridge.wire.sealing import ConnectionKeys
 
 T = TypeVar("T")
 _decoder: msgspec.msgpack.Decoder[ControlMessage] = msgspec.msgpack.Decoder(ControlMessage)
@@ -60,7 +60,7 @@ class Rogue:
         self.streams: list[socket.socket] = []
         self.udp = socket.socket(self._control.family, socket.SOCK_DGRAM)
         self.udp.connect(self._address)
-        self.keys: SessionKeys = self.wait_for(Established).keys
+        self.keys: ConnectionKeys = self.wait_for(Established).keys
         self.probes = DatagramWriter(self.keys.route_sealer(PROBE_ROUTE, "client"), self.keys.link_id, PROBE_ROUTE)
 
     def wait_for(self, *kinds: type[T]) -> T:

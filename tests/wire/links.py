@@ -3,13 +3,13 @@
 from typing import Any, TypeVar
 
 import pytest
-from tests.support.session_keys import propose
+from tests.support.connection_keys import propose
 
 from rsb_bridge.wire.connection import ClientConnection, ServerConnection
 from rsb_bridge.wire.events import Established, Event
 from rsb_bridge.wire.messages import Hello, Welcome
 from rsb_bridge.wire.sealed_stream import Credential, ReplayCache
-from rsb_bridge.wire.sealing import CipherSuite, SessionKeys
+from rsb_bridge.wire.sealing import CipherSuite, ConnectionKeys
 
 KEY = bytes(range(32))
 OTHER_KEY = bytes(32)
@@ -55,7 +55,7 @@ def shake_hands(client: ClientConnection, server: ServerConnection) -> tuple[lis
 
 def established(
     suite: CipherSuite = CipherSuite.AESGCM, **options: Any
-) -> tuple[ClientConnection, ServerConnection, SessionKeys, SessionKeys]:
+) -> tuple[ClientConnection, ServerConnection, ConnectionKeys, ConnectionKeys]:
     """Both ends after the handshake, and the keys that each has from it."""
     client, server = make_client(suite, **options), make_server(suite, **options)
     (client_event,), (server_event,) = shake_hands(client, server)

@@ -5,7 +5,7 @@ import struct
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.support.session_keys import session_keys
+from tests.support.connection_keys import connection_keys
 from tests.support.wording import says
 from tests.wire.links import (
     HELLO,
@@ -143,7 +143,7 @@ def test_long_control_frame_is_refused_early() -> None:
 def any_end(draw: st.DrawFn) -> End:
     suite = draw(st.sampled_from(CipherSuite))
     client, server = ready_to_accept(suite)
-    data = DataConnection(session_keys(suite, key_for(suite)), StreamName(1))
+    data = DataConnection(connection_keys(suite, key_for(suite)), StreamName(1))
     live_client, live_server, _, _ = established(suite, multiplexed=draw(st.booleans()))
     ends: list[End] = [make_server(suite), client, server, data, live_client, live_server]
     return draw(st.sampled_from(ends))

@@ -6,8 +6,8 @@ import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.support.connection_keys import propose
 from tests.support.frames import write_frame
-from tests.support.session_keys import propose
 from tests.support.wording import pattern, says
 from tests.wire.links import (
     CONTROL_HEADER,

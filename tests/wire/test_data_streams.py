@@ -1,8 +1,8 @@
 """Data streams, and data frames that share the control stream."""
 
 import pytest
+from tests.support.connection_keys import connection_keys
 from tests.support.frames import StreamedReader, write_chunks, write_frame
-from tests.support.session_keys import session_keys
 from tests.support.wording import says
 from tests.wire.links import OTHER_KEY, SUITES, WELCOME, established, make_server, the
 
@@ -73,7 +73,7 @@ def test_bytes_after_data_preamble_are_left_over() -> None:
 @pytest.mark.parametrize("suite", [CipherSuite.AESGCM, CipherSuite.CHACHAPOLY])
 def test_data_stream_of_another_link_has_no_proof(suite: CipherSuite) -> None:
     _, _, _, server_keys = established(suite)
-    stranger = session_keys(suite, OTHER_KEY, server_keys.link_id)
+    stranger = connection_keys(suite, OTHER_KEY, server_keys.link_id)
     server = make_server(suite)
     attach = the(Attach, server.receive_data(DataConnection(stranger, _NAME).start()))
     with pytest.raises(SealError):

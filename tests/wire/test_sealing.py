@@ -7,8 +7,8 @@ import pytest
 from cryptography.hazmat.primitives.ciphers.aead import AESGCM, ChaCha20Poly1305
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.support.connection_keys import connection_keys as proposed
 from tests.support.held import held_by
-from tests.support.session_keys import session_keys as proposed
 from tests.support.wording import pattern
 from tests.wire.links import KEY, SUITES, key_for
 
@@ -17,12 +17,12 @@ from rsb_bridge.wire.sealing import (
     EPOCH_BITS,
     EPOCHS_AHEAD,
     CipherSuite,
+    ConnectionKeys,
     DatagramOpener,
     InvalidSeal,
     Role,
     Sealer,
     SealError,
-    SessionKeys,
     StreamOpener,
 )
 
@@ -192,9 +192,9 @@ def test_each_sequence_opens_once_and_only_within_window(
                 opener.open(sequence, sealed, b"header")
 
 
-def session_keys(
+def connection_keys(
     suite: CipherSuite = CipherSuite.AESGCM, export: bytes = KEY, routes: Iterable[int] = (1, 2, 3, 5)
-) -> SessionKeys:
+) -> ConnectionKeys:
     return proposed(suite, None if suite is CipherSuite.PLAIN else export, routes=routes)
 
 
@@ -217,7 +217,7 @@ def chain(proposer: int, proposals: int) -> bytes:
 def test_data_keys_are_those_of_the_document(
     suite: CipherSuite, role: Role, direction: int, route: int, secret: bytes
 ) -> None:
-    sealed = session_keys(suite).route_sealer(route, role).seal(b"content", b"header")
+    sealed = connection_keys(suite).route_sealer(route, role).seal(b"content", b"header")
     key = expand(secret, b"rsb data", struct.pack(">IB", route, direction))
     assert sealed == by_the_book(suite, key, 0, b"content", b"header")
 
@@ -226,7 +226,7 @@ def test_data_keys_are_those_of_the_document(
 @pytest.mark.parametrize(("role", "direction"), [("client", 0), ("server", 1)])
 def test_keys_of_resumed_routes_are_those_of_the_document(suite: CipherSuite, role: Role, direction: int) -> None:
     """They are derived once, for routes that were proposed on an earlier connection."""
-    keys = session_keys(suite, routes=())
+    keys = connection_keys(suite, routes=())
     keys.resumed((1, 8))
     sealed = keys.route_sealer(8, role).seal(b"content", b"header")
     key = expand(expand(KEY, b"rsb resumed"), b"rsb data", struct.pack(">IB", 8, direction))
@@ -237,7 +237,7 @@ def test_keys_of_resumed_routes_are_those_of_the_document(suite: CipherSuite, ro
 
 @ENCRYPTED
 def test_attach_proof_is_that_of_the_document(suite: CipherSuite) -> None:
-    proof = session_keys(suite).attach_proof(b"header", 5)
+    proof = connection_keys(suite).attach_proof(b"header", 5)
     key = expand(expand(KEY, b"rsb attach"), b"rsb stream", struct.pack(">I", 5))
     assert proof == by_the_book(suite, key, 0, b"", b"header")
 
@@ -245,7 +245,7 @@ def test_attach_proof_is_that_of_the_document(suite: CipherSuite) -> None:
 @given(st.permutations([1, 2, 3, 4, 5, 6]), st.sets(st.sampled_from([1, 2, 3, 4, 5, 6])))
 def test_both_sides_keep_in_step_whatever_crosses(taken: list[int], refused: set[int]) -> None:
     """Proposals of both sides cross on the way, routes are refused and removed, and others use their keys later."""
-    ours, theirs = session_keys(routes=(1, 3, 5, 2, 4, 6)), session_keys(routes=(2, 1, 4, 6, 3, 5))
+    ours, theirs = connection_keys(routes=(1, 3, 5, 2, 4, 6)), connection_keys(routes=(2, 1, 4, 6, 3, 5))
     for route in refused:
         ours.closed(route)
     for route in taken:
@@ -256,11 +256,11 @@ def test_both_sides_keep_in_step_whatever_crosses(taken: list[int], refused: set
 
 @ENCRYPTED
 def test_no_other_route_direction_or_link_opens_it(suite: CipherSuite) -> None:
-    sealed = session_keys(suite).route_sealer(1, "client").seal(b"content", b"header")
-    others: tuple[tuple[SessionKeys, int, Role], ...] = (
-        (session_keys(suite), 3, "client"),
-        (session_keys(suite), 1, "server"),
-        (session_keys(suite, bytes(32)), 1, "client"),
+    sealed = connection_keys(suite).route_sealer(1, "client").seal(b"content", b"header")
+    others: tuple[tuple[ConnectionKeys, int, Role], ...] = (
+        (connection_keys(suite), 3, "client"),
+        (connection_keys(suite), 1, "server"),
+        (connection_keys(suite, bytes(32)), 1, "client"),
     )
     for keys, route, role in others:
         with pytest.raises(SealError):
@@ -278,7 +278,7 @@ def held(thing: object) -> set[bytes]:
 @ENCRYPTED
 def test_who_takes_over_a_process_opens_nothing_earlier(suite: CipherSuite) -> None:
     """Neither what crossed before the epoch of an open route, nor what crossed on a closed one."""
-    keys = session_keys(suite)
+    keys = connection_keys(suite)
     early = [keys.route_sealer(route, "client").seal(b"content", b"header") for route in (0, 1, 3)]
     keys.closed(3)
     secrets = held(vars(keys))
@@ -294,7 +294,7 @@ def test_who_takes_over_a_process_opens_nothing_earlier(suite: CipherSuite) -> N
 
 
 def test_each_key_is_handed_out_once() -> None:
-    keys = session_keys()
+    keys = connection_keys()
     keys.route_sealer(1, "client")
     keys.stream_opener(1, "server")
     keys.closed(2)
@@ -308,9 +308,9 @@ def test_each_key_is_handed_out_once() -> None:
 
 @SUITES
 def test_attach_proof_holds_for_header_and_route(suite: CipherSuite) -> None:
-    keys = session_keys(suite)
+    keys = connection_keys(suite)
     proof = keys.attach_proof(b"header of 5", 5)
-    session_keys(suite).check_attach_proof(b"header of 5", 5, proof)
+    connection_keys(suite).check_attach_proof(b"header of 5", 5, proof)
     wrong = [(b"header of 7", 5, proof), (b"header of 5", 5, b"")]
     if suite is not CipherSuite.PLAIN:
         wrong.append((b"header of 5", 3, proof))

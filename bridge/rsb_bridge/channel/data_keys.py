@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
     from rsb_bridge.wire.framing import Budget, Message
-    from rsb_bridge.wire.sealing import Buffer, Role, SessionKeys, StreamOpener
+    from rsb_bridge.wire.sealing import Buffer, ConnectionKeys, Role, StreamOpener
 
 _Reader = TypeVar("_Reader", bound=DatagramReader)
 Meter: TypeAlias = "Callable[[int], bool]"
@@ -67,7 +67,7 @@ class DataKeys:
         meter_of: gives the meter of a route by its id, or None for a route that has none.
     """
 
-    keys: SessionKeys
+    keys: ConnectionKeys
     role: Role
     budget: Budget
     scratch: Scratch = field(default_factory=Scratch)

@@ -297,8 +297,8 @@ class StreamPair:
 
     If the stream of large messages is lost, as where only large packets are, the routes on the other one stay. Without
     the stream of small messages, both end. Routes of a lost stream resume once both are open (`resume_routes`), as long
-    as a session outlives its connection: until then, nothing closes a route that may resume. The pair itself suspends
-    and resumes with the link's connection.
+    as an association outlives its connection: until then, nothing closes a route that may resume. The pair itself
+    suspends and resumes with the link's connection.
 
     Attributes:
         small: the stream of small messages, or None until it is accepted.

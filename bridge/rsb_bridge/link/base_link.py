@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from rsb_bridge.link.association import NEVER_HANDLED, Association
 from rsb_bridge.link.control_channel import ControlChannel
 from rsb_bridge.link.extension import Extension, Extensions
 from rsb_bridge.link.keepalive import Keepalive
-from rsb_bridge.link.link_session import NEVER_HANDLED, LinkSession
 from rsb_bridge.link.route_ids import RouteIds
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level, State
@@ -29,11 +29,11 @@ if TYPE_CHECKING:
 
     from rsb_bridge.cdr.description import CompareTypes
     from rsb_bridge.context import Context
+    from rsb_bridge.link.association import UnhandledMessage
     from rsb_bridge.link.control_channel import Slices
     from rsb_bridge.link.data_channels import DataChannels
     from rsb_bridge.link.keepalive import ChannelCarrier
     from rsb_bridge.link.link_end import LinkEnd
-    from rsb_bridge.link.link_session import UnhandledMessage
     from rsb_bridge.model.transports import LinkProfile
     from rsb_bridge.model.verdict import Verdict
     from rsb_bridge.route.peer import LinkPath, LinkRates
@@ -118,9 +118,9 @@ class BaseLink:
         self._peer_role = "the server" if is_client else "the client"
         self.encrypted = encrypted
         self.present: DataChannels | None = None  # of the present connection, if there is one
-        self.session: LinkSession | None = None  # while the link is up or suspended
+        self.association: Association | None = None  # while the link is up or suspended
         self._lost_at = 0.0
-        self.outlives = 0.0  # s that the session outlives its connection: the smaller number of both sides
+        self.outlives = 0.0  # s that the association outlives its connection: the smaller number of both sides
         self.peer: Hello | Welcome | None = None  # before the first connection
         self.instance = ""  # process of the peer
         self.connections = 0
@@ -146,7 +146,7 @@ class BaseLink:
         self.handlers: dict[type, Callable[[Any], Slices | None]] = {
             Ping: self._on_ping,
             Pong: lambda pong: self.keepalive.answered(pong),  # noqa: PLW0108 -- each connection has another one
-            Receipts: lambda receipts: self.channels.take_receipts(receipts),  # noqa: PLW0108 -- as has each session
+            Receipts: lambda receipts: self.channels.take_receipts(receipts),  # noqa: PLW0108 -- as has each association
         }
 
     def extend(self, extension: _E) -> _E:
@@ -169,7 +169,7 @@ class BaseLink:
 
     @property
     def own_outlive(self) -> float:
-        """Seconds that a session outlives its connection, as far as this side goes."""
+        """Seconds that an association outlives its connection, as far as this side goes."""
         return outlive_of(self.context.session.outlive, self.end.profile)
 
     # --- the present connection
@@ -191,7 +191,7 @@ class BaseLink:
     @property
     def is_suspended(self) -> bool:
         """Whether it has no connection, and its association lives on."""
-        return self.session is not None and self.present is None
+        return self.association is not None and self.present is None
 
     @property
     def suspended_since(self) -> float | None:
@@ -204,13 +204,13 @@ class BaseLink:
     def derive_keys(self, route_id: int, *, proposed_here: bool) -> None:
         """Derive the keys of a route. Call it once for each proposal, in the order in which they cross."""
         if self.present is not None:
-            self.present.session_keys.proposed(route_id, "client" if self.is_client is proposed_here else "server")
+            self.present.connection_keys.proposed(route_id, "client" if self.is_client is proposed_here else "server")
 
     def closed(self, route_id: int) -> None:
         """Record that an opening of a route is over."""
         self.ids.closed(route_id)
         if self.present is not None:
-            self.present.session_keys.closed(route_id)
+            self.present.connection_keys.closed(route_id)
 
     def open_channel(self, route: Route) -> None:
         """Open the channel of a route, or begin to; while the link is suspended, its next connection does."""
@@ -232,16 +232,16 @@ class BaseLink:
     def up(self, stream: Stream, connection: ClientConnection | ServerConnection, event: Established) -> ControlChannel:
         """Begin a connection on a stream whose peer is authenticated, and return what takes its further events.
 
-        It resumes the session if both sides do, and begins a new one otherwise. While the link is up, it takes the
+        It resumes the association if both sides do, and begins a new one otherwise. While the link is up, it takes the
         place of the present connection.
         """
         control, moves = ControlChannel(stream, connection, self.handlers, self.lost, self._handled), self.linked
         self.keepalive.stop()
         try:
-            again = self._join_session(control, event)
+            again = self._join_association(control, event)
         except ProtocolError as error:
             self.protocol_error(str(error))
-            self.end_session()
+            self.end_association()
             control.broken(error)
             return control
         except BaseException:
@@ -269,23 +269,23 @@ class BaseLink:
             self._resume(again)
         return control
 
-    def _join_session(self, control: ControlChannel, event: Established) -> Sequence[UnhandledMessage] | None:
-        """Resume the session, and return what the peer lacks of it; or begin a new one, and return None."""
-        session, again = self.session, None
-        if session is not None and session.resumes(event):
-            session.take_up(event.peer.handled)
+    def _join_association(self, control: ControlChannel, event: Established) -> Sequence[UnhandledMessage] | None:
+        """Resume the association, and return what the peer lacks of it; or begin a new one, and return None."""
+        association, again = self.association, None
+        if association is not None and association.resumes(event):
+            association.take_up(event.peer.handled)
             if self.present is not None:
                 self._move()
-            again = session.resume(control, event)
+            again = association.resume(control, event)
         else:
-            self.end_session()
+            self.end_association()
             channels = self.end.new_channels(control, event.keys)
-            session = self.session = LinkSession(event.keys.link_id, event.peer.instance, channels)
-        self.present = session.channels
+            association = self.association = Association(event.keys.link_id, event.peer.instance, channels)
+        self.present = association.channels
         return again
 
     def _move(self) -> None:
-        """End the connection, and nothing else: the session has another one."""
+        """End the connection, and nothing else: the association has another one."""
         reason, channels, self.present = "there is another connection", self.channels, None
         channels.control.leave(reason)
         self.extensions.suspend()
@@ -301,13 +301,13 @@ class BaseLink:
         self.channels.open_all()
 
     def _handled(self, message_type: type) -> None:
-        if self.session is not None:
-            self.session.handles(message_type)
+        if self.association is not None:
+            self.association.handles(message_type)
 
     @property
     def handled(self) -> int:
-        """How many control messages of the session this side has handled."""
-        return 0 if self.session is None else self.session.handled
+        """How many control messages of the association this side has handled."""
+        return 0 if self.association is None else self.association.handled
 
     def doubts(self) -> None:
         """Take note that the connection may be dead; called several times a second on a client meanwhile."""
@@ -334,7 +334,7 @@ class BaseLink:
         self.end.lost()
 
     def _down(self, channels: DataChannels, reason: str, code: EventCode) -> None:
-        """Show why the connection is over, and suspend the session, or end it."""
+        """Show why the connection is over, and suspend the association, or end it."""
         cause = _CAUSES.get(code, LinkCause.CLOSED)
         # The most telling first: without its router a link is silent, too.
         if cause is LinkCause.LOST and self.transport.problem:
@@ -345,13 +345,13 @@ class BaseLink:
         # `down` leaves the time as it is: each failed attempt calls it, but the link is down since now.
         self.status.since = self.context.clock.steady()
         self._lost_at = self.context.now()
-        session, seconds = self.session, self.outlives
+        association, seconds = self.association, self.outlives
         is_broken = channels.control.is_fault or code is not EventCode.LINK_LOST
-        if session is None or session.is_over or is_broken or not seconds:
-            self.end_session()
+        if association is None or association.is_over or is_broken or not seconds:
+            self.end_association()
         else:
             self.extensions.suspend()
-            session.suspend(reason, self.context.loop.call_later(seconds, self._expire))
+            association.suspend(reason, self.context.loop.call_later(seconds, self._expire))
             reason = f"{reason}; its topics and calls wait for {seconds:g} s"
         level = Level.INFO if code is EventCode.LINK_CLOSED else Level.WARNING
         how = "lost" if code is EventCode.LINK_LOST else "closed"
@@ -360,18 +360,18 @@ class BaseLink:
     def _expire(self) -> None:
         text = f"the link was away for {self.outlives:g} s: what waited for it is dropped"
         self.log(Level.WARNING, EventCode.LINK_CLOSED, text, link_status=True)
-        self.end_session()
+        self.end_association()
 
-    def end_session(self) -> None:
-        """End the session of a link without a connection: the next connection begins with nothing."""
-        session, self.session = self.session, None
-        if session is not None:
+    def end_association(self) -> None:
+        """End the association of a link without a connection: the next connection begins with nothing."""
+        association, self.association = self.association, None
+        if association is not None:
             self.extensions.disconnected()
-            session.end()
+            association.end()
 
     def destroy(self) -> None:
         """End routes and tasks for good."""
-        self.end_session()
+        self.end_association()
         self._tasks.cancel()
         self.destroy_routes()
 
@@ -389,12 +389,12 @@ class BaseLink:
             self.fail()
 
     def leave(self, reason: str, *, retry_after: float | None, code: EventCode = EventCode.LINK_CLOSED) -> None:
-        """End the connection on purpose, and tell the peer; without one, at most a session ends."""
+        """End the connection on purpose, and tell the peer; without one, at most an association ends."""
         if self.present is not None:
             self.extensions.leaving()
             self.present.control.shut_down(reason, retry_after=retry_after, code=code)
         else:
-            self.end_session()
+            self.end_association()
 
     def fail(self) -> None:
         """End the connection after an internal error, so that both sides start from the beginning."""
@@ -416,14 +416,14 @@ class BaseLink:
             The message as it is sent.
         """
         content = encode(message)
-        if self.session is not None:
-            self.session.sends(message, content)
+        if self.association is not None:
+            self.association.sends(message, content)
         if self.present is not None:
             self.present.control.send_encoded(content)
-            if self.session is not None and self.session.is_over:
+            if self.association is not None and self.association.is_over:
                 self.present.control.stream.abort(NEVER_HANDLED)  # `lost` comes later
-        elif self.session is not None and self.session.is_over:
-            self.end_session()
+        elif self.association is not None and self.association.is_over:
+            self.end_association()
         return content
 
     def send_urgent(self, message: UrgentMessage) -> None:
@@ -433,9 +433,9 @@ class BaseLink:
             self.present.send_urgent(content)
 
     def _on_ping(self, ping: Ping) -> None:
-        if self.session is not None:
+        if self.association is not None:
             try:
-                self.session.acknowledge(ping.handled)
+                self.association.acknowledge(ping.handled)
             except ProtocolError as error:
                 self.protocol_error(str(error))
                 return

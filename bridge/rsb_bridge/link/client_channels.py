@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from rsb_bridge.link.control_channel import ControlChannel
     from rsb_bridge.link.data_channels import CarriedLink
     from rsb_bridge.transport.transport import DatagramTransport, StreamTransport
-    from rsb_bridge.wire.sealing import SessionKeys
+    from rsb_bridge.wire.sealing import ConnectionKeys
 
 _ROUNDS = 3  # times that data streams are opened if others are lost meanwhile: a round figure
 _UDP_RETRIED_AFTER = 1.0  # s until a socket for datagrams is tried again: its topics wait as long. A round figure
@@ -47,7 +47,7 @@ class StreamDialer(Protocol):
 class ClientChannels(DataChannels):
     """The client's end of a connection, which opens the streams and sockets."""
 
-    def __init__(self, link: CarriedLink, dialer: StreamDialer, control: ControlChannel, keys: SessionKeys) -> None:
+    def __init__(self, link: CarriedLink, dialer: StreamDialer, control: ControlChannel, keys: ConnectionKeys) -> None:
         super().__init__(link, control, keys)
         self._dialer = dialer
         self._opening: dict[tuple[str, int], asyncio.Task[None]] = {}
@@ -128,7 +128,7 @@ class ClientChannels(DataChannels):
         # Channel 11 is not port 11: the link's own streams are on its own transport only.
         is_own = transport is link.transport and port == link.shared_port()
         name = StreamName(self._newest, 0 if is_own else port, large)
-        connection = DataConnection(self.session_keys, name)
+        connection = DataConnection(self.connection_keys, name)
 
         def let_in(stream: Stream, event: Established | Accepted, more: list[Event]) -> None:
             if control.over:  # lost in this turn of the loop; the attempt is cancelled in the next one
@@ -140,7 +140,8 @@ class ClientChannels(DataChannels):
         host = control.stream.host if transport is link.transport else transport.host(link.context.session)
         # Ranks as of topics: over some transports, small messages go ahead of large ones.
         rank = -1 if large and not transport.multiplexed else 0
-        return await self._dialer.open(transport, host, port, connection, let_in, rank, self.session_keys.sample_secret)
+        secret = self.connection_keys.sample_secret
+        return await self._dialer.open(transport, host, port, connection, let_in, rank, secret)
 
     def _open_udp(self, transport: DatagramTransport, port: int) -> ClientUdpChannel | None:
         link, address = self._link, self.control.stream.address

@@ -51,14 +51,14 @@ if TYPE_CHECKING:
     from rsb_bridge.transport.network_news import NetworkNews
     from rsb_bridge.transport.transport import StreamTransport
     from rsb_bridge.wire.messages import Hello, Propose
-    from rsb_bridge.wire.sealing import CipherSuite, SessionKeys
+    from rsb_bridge.wire.sealing import CipherSuite, ConnectionKeys
 
 _HANDSHAKE_TIMEOUT = 10.0  # s for an answer, as long as a server waits for a handshake (`pending_connections`)
 _KEY_CHANGED = "the client has another key now"
 
 # s between attempts, before jitter.
 _FIRST_DELAY = 0.5  # before the first further attempt: a round figure
-_FIRST_DELAY_AWAY = 0.1  # the same while the server waits with the session; the first attempt comes at once
+_FIRST_DELAY_AWAY = 0.1  # the same while the server waits with the association; the first attempt comes at once
 _LASTING = 1.0  # s of a connection that has not failed: one that ends sooner, again and again, must not come at once
 _LONGEST_DELAY_UNREACHED = 1.0  # once the server is back, the link must be up within 3 s, with handshake and discovery
 # While the server refuses: its answer seldom changes soon. A round figure, on which servers rely: they forget a client
@@ -72,7 +72,7 @@ _JITTER = 0.5
 # has lost it (`server_end._SILENT`).
 _NAME_MAY_BE_FREED = 5
 
-# s after which a move to a better way begins: a session moves on while messages that count, such as reports, are few.
+# s after which a move to a better way begins: an association moves on while messages that count (reports do) are few.
 _REPORTS_FIRST = 0.1
 _DUPLICATES_LOGGED_EVERY = 60.0  # s between lines about one more client of this one's name: a round figure
 
@@ -244,9 +244,9 @@ class ClientEnd:
         secret, began = key.secret if key else None, self._context.now()
         hello = msgspec.structs.replace(self._hello, outlive=self.link.own_outlive)
         acknowledged = 0
-        if self.link.session is not None:
-            hello = msgspec.structs.replace(hello, session=self.link.session.id, handled=self.link.handled)
-            acknowledged = self.link.session.acknowledged
+        if self.link.association is not None:
+            hello = msgspec.structs.replace(hello, association=self.link.association.id, handled=self.link.handled)
+            acknowledged = self.link.association.acknowledged
 
         def begin(suite: CipherSuite | None) -> ClientConnection:
             return ClientConnection(hello, secret, suite or self._suite, multiplexed=self.link.transport.multiplexed)
@@ -257,13 +257,14 @@ class ClientEnd:
             What both sides have handled must be what they said, too: the present connection may have moved it on.
             """
             is_alive = self.link.linked and self._moves_to is None and self.link.keepalive.carried_since(began)
-            session = (b"", 0) if self.link.session is None else (self.link.session.id, self.link.session.handled)
-            if is_alive or session != (hello.session, hello.handled):
+            present = self.link.association
+            said = (b"", 0) if present is None else (present.id, present.handled)
+            if is_alive or said != (hello.association, hello.handled):
                 return False
             # Where nothing was acknowledged meanwhile, a wrong number is a breach of the protocol.
-            if self.link.session is None or self.link.session.acknowledged == acknowledged:
+            if present is None or present.acknowledged == acknowledged:
                 return True
-            return self.link.session.could_resume(event)
+            return present.could_resume(event)
 
         if key is not None:  # without a key nothing proves a server: the transport connects to the only one, or refuses
             try:
@@ -289,13 +290,13 @@ class ClientEnd:
         return await first_of(self.ways.next_hosts() if self._moves_to is None else (self._moves_to,), connect)
 
     def _take(self, stream: Stream, connection: ClientConnection, event: Established, more: list[Event]) -> None:
-        """Link over a new connection, with a new session if the server has begun one.
+        """Link over a new connection, with a new association if the server has begun one.
 
         The first message takes the confirmation along, after this side has left the connection before: the server takes
         all that was armed for disarmed then.
         """
-        if self.link.control is not None and isinstance(event.peer, Welcome) and not event.peer.session:
-            self.link.control.abort("the server has begun a new session")
+        if self.link.control is not None and isinstance(event.peer, Welcome) and not event.peer.association:
+            self.link.control.abort("the server has begun a new association")
         self._source = stream.own_address
         control = self.link.up(stream, connection, event)
         self._connected_at = self._context.now()
@@ -384,7 +385,7 @@ class ClientEnd:
             attempt.end()
         return None if failure is None else self._with_remedy(failure)
 
-    def new_channels(self, control: ControlChannel, keys: SessionKeys) -> ClientChannels:
+    def new_channels(self, control: ControlChannel, keys: ConnectionKeys) -> ClientChannels:
         return ClientChannels(self.link, self, control, keys)
 
     def why_lost(self, reason: str) -> str:
@@ -426,7 +427,7 @@ class ClientEnd:
             return inf
         if self.link.status.cause is LinkCause.SHUT_DOWN:
             return self._asking.next()
-        if self.link.session is not None:  # an attempt that nobody answered was a pause, too
+        if self.link.association is not None:  # an attempt that nobody answered was a pause, too
             delay = self._returning.next()
             return max(min(delay, _FIRST_DELAY_AWAY), delay - took)
         return max(self._backoff.next(self._longest), self._retry_after)

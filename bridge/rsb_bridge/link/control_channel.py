@@ -158,7 +158,7 @@ class ControlChannel(StreamHandler):
         self._end(reason, code)
 
     def leave(self, reason: str) -> None:
-        """End it without telling anybody: the session has another connection."""
+        """End it without telling anybody: the association has another connection."""
         self.over = True
         self.stream.abort(reason)
 

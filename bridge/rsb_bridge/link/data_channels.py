@@ -1,4 +1,4 @@
-"""The connections of a link's session: the control channel and its keys, and the routes' streams and UDP channels."""
+"""An association's connections: the control channel and its keys, and the routes' streams and UDP channels."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from rsb_bridge.transport.transport import DatagramTransport
     from rsb_bridge.wire.events import StreamName
     from rsb_bridge.wire.messages import ControlMessageBase, Receipts
-    from rsb_bridge.wire.sealing import Role, SessionKeys
+    from rsb_bridge.wire.sealing import ConnectionKeys, Role
 
 _PROBE_EVERY, _QUICK_PROBES = 0.25, 8  # s, and how many: `tick` comes once a second only. Round figures
 CONTROL_NUMBER = 0  # of the control connection where it is a data stream, too
@@ -66,12 +66,12 @@ class CarriedLink(Protocol):
 
 
 class DataChannels:
-    """Made when a session begins, and closed when it ends. A client opens the streams, a server accepts them.
+    """Made when an association begins, and closed when it ends. A client opens the streams, a server accepts them.
 
     Attributes:
         control: the authenticated connection, or the last one while the link is suspended.
         is_silent: whether it ends because nothing comes any more.
-        session_keys: its keys.
+        connection_keys: its keys.
         keys: seal and open the routes' messages.
         scheduler: shares the streams among the routes.
         book: sends receipts.
@@ -79,7 +79,7 @@ class DataChannels:
         awaiting: the routes that wait for streams, by their transport and port, then by the ids of their openings.
     """
 
-    def __init__(self, link: CarriedLink, control: ControlChannel, keys: SessionKeys) -> None:
+    def __init__(self, link: CarriedLink, control: ControlChannel, keys: ConnectionKeys) -> None:
         self._link = link
         self.is_silent = False
         # What its streams and UDP channels ask for.
@@ -94,9 +94,9 @@ class DataChannels:
         self._connect(control, keys)
         keys.resumed(())
 
-    def _connect(self, control: ControlChannel, keys: SessionKeys) -> None:
+    def _connect(self, control: ControlChannel, keys: ConnectionKeys) -> None:
         link = self._link
-        self.control, self.session_keys = control, keys
+        self.control, self.connection_keys = control, keys
         self.keys = DataKeys(keys, link.role, link.budget.unfinished, meter_of=link.meter_of)
         self.probe = PathProbe(self.keys)
         if link.transport.multiplexed:  # the stream carries the routes of its own port, too, as streams are scarce
@@ -112,7 +112,7 @@ class DataChannels:
             channel.close()
         self._udp.clear()
 
-    def resume(self, control: ControlChannel, keys: SessionKeys, proposed: Collection[int]) -> None:
+    def resume(self, control: ControlChannel, keys: ConnectionKeys, proposed: Collection[int]) -> None:
         """Resume on the association's next connection.
 
         Args:
@@ -127,7 +127,7 @@ class DataChannels:
 
     @property
     def outlives(self) -> float:
-        """Seconds for which lost streams may be opened again: as many as the session outlives its connection."""
+        """Seconds for which lost streams may be opened again: as many as the association outlives its connection."""
         return self._link.outlives
 
     def open_all(self) -> None:

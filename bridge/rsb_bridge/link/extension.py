@@ -43,10 +43,10 @@ class Extension:
     purpose: Purpose | None = None
 
     def connected(self) -> None:
-        """Begin a session: the peer is authenticated."""
+        """Begin an association: the peer is authenticated."""
 
     def disconnected(self) -> None:
-        """End a session. The extension that was registered last comes first."""
+        """End an association. The extension that was registered last comes first."""
 
     def suspend(self) -> None:
         """Wait: the connection is lost, and the association lives on. The last registered extension comes first."""

@@ -183,7 +183,7 @@ class Keepalive:
         return self.ping(handled)
 
     def ping(self, handled: int) -> Ping:
-        """Return a further ping, to be sent now, which says how many control messages of the session were handled."""
+        """Return a further ping, to be sent now, with how many control messages of the association were handled."""
         self._pings += 1
         self._pinged_at = self._context.now()
         self._context.stamps.compare()

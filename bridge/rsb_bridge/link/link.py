@@ -253,7 +253,7 @@ class Link(BaseLink):
     def snapshot(self) -> LinkSnapshot:
         linked, traffic, peer = self.linked, self.traffic, self.peer
         now, steady = self.context.now(), self.context.clock.steady()
-        ends = None if self.session is None else self.session.ends_at
+        ends = None if self.association is None else self.association.ends_at
         clock = self.clock if linked else ClockOffset()  # figures of a dead connection are out of date
         current_key, next_key = self.end.fingerprints
         fault = self.fault.now()
@@ -265,9 +265,9 @@ class Link(BaseLink):
             since=self.context.wall_of(self.status.since),
             retry_in=self.status.retry_in(now),
             attempts=self.status.attempts,
-            session_ends=None if ends is None else self.context.wall_of(steady + ends - now),
+            association_ends=None if ends is None else self.context.wall_of(steady + ends - now),
             encrypted=self.encrypted,
-            cipher=self.channels.session_keys.suite.name if linked and self.encrypted else "",
+            cipher=self.channels.connection_keys.suite.name if linked and self.encrypted else "",
             fingerprint=current_key,
             next_fingerprint=next_key,
             rtt=clock.rtt,

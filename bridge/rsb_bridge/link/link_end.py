@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.transports import LinkProfile
     from rsb_bridge.route.route import Route
     from rsb_bridge.wire.messages import Propose
-    from rsb_bridge.wire.sealing import SessionKeys
+    from rsb_bridge.wire.sealing import ConnectionKeys
 
 
 class LinkEnd(Protocol):
@@ -71,8 +71,8 @@ class LinkEnd(Protocol):
 
     # --- its connection
 
-    def new_channels(self, control: ControlChannel, keys: SessionKeys) -> DataChannels:
-        """Return the channels of a session that begins."""
+    def new_channels(self, control: ControlChannel, keys: ConnectionKeys) -> DataChannels:
+        """Return the channels of an association that begins."""
 
     def doubts(self) -> None:
         """Take note that the connection may be dead."""

@@ -226,23 +226,23 @@ class Server:
             return msgspec.structs.replace(welcome, taken=end.name_taken())
         if end.shut_down_by is not None:
             return msgspec.structs.replace(welcome, shut_down=end.shut_down_by.refusal())
-        if link.session is not None and link.session.may_resume(hello):
-            return msgspec.structs.replace(welcome, session=link.session.id, handled=link.handled)
+        if link.association is not None and link.association.may_resume(hello):
+            return msgspec.structs.replace(welcome, association=link.association.id, handled=link.handled)
         return welcome
 
     def established(self, stream: Stream, connection: ServerConnection, event: Established) -> ControlChannel:
         """Link an authenticated client; it replaces an older connection of its name."""
         assert isinstance(event.peer, Hello)
         end = self.ends[event.peer.name]
-        link = end.link
+        link, known = end.link, end.link.association
         self.refused_clients.forget(link.name)
         if end.keeps_name_from(event.peer):  # since the handshake began
             raise Refusal(RefusalCode.NAME_TAKEN, end.name_taken())
-        if event.answer is None or not event.answer.session:
+        if event.answer is None or not event.answer.association:
             text = f"replaced: {link.name} at {end.address} by a newer connection from {stream.peer}"
             link.leave(text, retry_after=_REPLACED_PAUSE, code=EventCode.LINK_REPLACED)
-        elif link.session is None or not link.session.may_resume(event.peer) or link.handled != event.answer.handled:
-            raise Refusal(RefusalCode.BUSY, "its session has moved on meanwhile: try again")
+        elif known is None or not known.may_resume(event.peer) or known.handled != event.answer.handled:
+            raise Refusal(RefusalCode.BUSY, "its association has moved on meanwhile: try again")
         return end.accept(stream, connection, event)
 
     def attach(self, stream: Stream, connection: ServerConnection, event: Attach) -> None:

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from rsb_bridge.transport.transport import DatagramSocket
     from rsb_bridge.wire.connection import ServerConnection
     from rsb_bridge.wire.events import Attach, Established
-    from rsb_bridge.wire.sealing import SessionKeys
+    from rsb_bridge.wire.sealing import ConnectionKeys
 
 _SILENT = 1.5
 """s without a byte (pings come every second) after which another process may take a client's name over
@@ -72,7 +72,7 @@ class ServerChannels(DataChannels):
 
     _link: Link
 
-    def __init__(self, link: Link, descriptors: DescriptorShare, control: ControlChannel, keys: SessionKeys) -> None:
+    def __init__(self, link: Link, descriptors: DescriptorShare, control: ControlChannel, keys: ConnectionKeys) -> None:
         super().__init__(link, control, keys)
         self._descriptors = descriptors
         self._taken: set[int] = set()  # numbers of streams
@@ -98,9 +98,9 @@ class ServerChannels(DataChannels):
         """Attach a stream that the client opens; raise Refusal if no route needs it, or it may not have it."""
         link, name = self._link, event.name
         # Before any refusal: on a data stream a server tags everything (PROTOCOL.md, 12).
-        stream.authenticate(self.session_keys.sample_secret, opener=False)
+        stream.authenticate(self.connection_keys.sample_secret, opener=False)
         try:
-            self.session_keys.check_attach_proof(event.header, name.number, event.proof)
+            self.connection_keys.check_attach_proof(event.header, name.number, event.proof)
         except SealError as error:
             raise Refusal(RefusalCode.NO_SUCH_ROUTE, str(error)) from None
         shared = link.shared_port()
@@ -271,7 +271,7 @@ class ServerEnd:
     def shared_port(self) -> int:
         return self._context.session.server_port
 
-    def new_channels(self, control: ControlChannel, keys: SessionKeys) -> ServerChannels:
+    def new_channels(self, control: ControlChannel, keys: ConnectionKeys) -> ServerChannels:
         return ServerChannels(self.link, self.descriptors, control, keys)
 
     @property
@@ -283,7 +283,7 @@ class ServerEnd:
     def has_id(self, link_id: bytes) -> bool:
         """Whether its present connection has an id; all links are asked for each datagram of a stranger."""
         channels = self.link.present
-        return channels is not None and channels.session_keys.link_id == link_id
+        return channels is not None and channels.connection_keys.link_id == link_id
 
     @property
     def use_name(self) -> bool:

@@ -108,7 +108,7 @@ FIGURES = (
     Figure(_LINK, "state", "state", "Always 1; the state of the link.", by="state"),
     Figure(_LINK, "reason", source=lambda link: link.reason or link.warning),
     Figure(_LINK, "since", unit=_MOMENT, source="fault_since"),
-    Figure(_LINK, "session_ends", unit=_MOMENT),
+    Figure(_LINK, "association_ends", unit=_MOMENT),
     Figure(_LINK, "cipher", source=lambda link: link.cipher if link.encrypted else "none"),
     Figure(_LINK, "rx_bytes_per_second", unit=_BYTES, shown="received"),
     Figure(_LINK, "tx_bytes_per_second", unit=_BYTES, shown="sent"),

@@ -349,7 +349,7 @@ class LinkSnapshot:
     full_in: Fullness | None = None  # the rates to here, as the peer reports them, or None if the link is not full
     loss_out: float | None = None  # share of the packets from here that is lost, 0 to 1, or None without a figure
     loss_in: float | None = None  # the same to here, as the peer reports it
-    session_ends: float | None = None
+    association_ends: float | None = None
     """S since the epoch, when what waits for it is dropped unless it is back; None while it is up, or nothing waits."""
     via: str = ""  # this machine's network device that carries it, or empty if it is unknown
     ways: tuple[WaySnapshot, ...] = ()  # if there are several; of a client's addresses the preferred one first

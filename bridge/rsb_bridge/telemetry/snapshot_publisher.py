@@ -296,7 +296,7 @@ def out_of_reach(shown: Snapshot, reason: str, *, since: float, now: float) -> S
         links=tuple(
             dataclasses.replace(
                 link, state=State.DOWN, cause=LinkCause.UNREACHABLE, reason=reason, warning="", since=since,
-                retry_in=None, session_ends=None, rtt=None, loss_out=None, loss_in=None, rx_bytes_per_second=0.0,
+                retry_in=None, association_ends=None, rtt=None, loss_out=None, loss_in=None, rx_bytes_per_second=0.0,
                 tx_bytes_per_second=0.0, clock_offset=None, clock_uncertainty=None, full_out=None, full_in=None,
                 via="", ways=(),
             )

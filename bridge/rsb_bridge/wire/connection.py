@@ -44,7 +44,7 @@ from rsb_bridge.wire.preamble import (
 )
 from rsb_bridge.wire.protocol_error import Broken, Misuse, ProtocolError
 from rsb_bridge.wire.sealed_stream import AcceptingStream, ConnectingStream, Credential, SealedStream, handshake_of
-from rsb_bridge.wire.sealing import CipherSuite, SessionKeys
+from rsb_bridge.wire.sealing import CipherSuite, ConnectionKeys
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -168,7 +168,7 @@ class ClientConnection(_Control, ConnectingStream):
             raise Refusal(RefusalCode.NAME_TAKEN, welcome.taken)
         if welcome.shut_down:
             raise Refusal(RefusalCode.SHUT_DOWN, welcome.shut_down)
-        self._events.append(Established(welcome, SessionKeys(self.suite, keys.export, welcome.link_id)))
+        self._events.append(Established(welcome, ConnectionKeys(self.suite, keys.export, welcome.link_id)))
 
 
 class ServerConnection(AcceptingStream, _Control):
@@ -252,7 +252,7 @@ class ServerConnection(AcceptingStream, _Control):
         elif welcome.shut_down:
             outcome = StreamRefused(RefusalCode.SHUT_DOWN, welcome.shut_down, hello)
         else:
-            outcome = Established(hello, SessionKeys(offer.suite, keys.export, welcome.link_id), welcome)
+            outcome = Established(hello, ConnectionKeys(offer.suite, keys.export, welcome.link_id), welcome)
         self.fingerprint = b"" if key is None else offer.fingerprint
         self._accept(offer.suite, keys, answer, outcome)
 
@@ -260,7 +260,7 @@ class ServerConnection(AcceptingStream, _Control):
 class DataConnection(PreambleStream):
     """The client's end of a data stream, until the server accepts it and the link's routes take over."""
 
-    def __init__(self, keys: SessionKeys, name: StreamName) -> None:
+    def __init__(self, keys: ConnectionKeys, name: StreamName) -> None:
         super().__init__()
         header = data_header(keys.link_id, name)
         self._beginning = pack_frame(header, keys.attach_proof(header, name.number))

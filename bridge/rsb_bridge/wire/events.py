@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 if TYPE_CHECKING:
     from rsb_bridge.wire.messages import Hello, Welcome
-    from rsb_bridge.wire.sealing import SessionKeys
+    from rsb_bridge.wire.sealing import ConnectionKeys
 
 
 class RefusalCode(IntEnum):
@@ -29,7 +29,7 @@ class Established:
     """The control connection is up, and the peer has proven that it has the key."""
 
     peer: Hello | Welcome  # its `Welcome` on the client, its `Hello` on the server
-    keys: SessionKeys
+    keys: ConnectionKeys
     answer: Welcome | None = None  # the server's own
 
 
@@ -62,7 +62,7 @@ class Attach:
 
     link_id: bytes  # 8 bytes
     name: StreamName
-    proof: bytes  # for `rsb_bridge.wire.sealing.SessionKeys.check_attach_proof`
+    proof: bytes  # for `rsb_bridge.wire.sealing.ConnectionKeys.check_attach_proof`
     header: bytes  # what the proof authenticates
 
 

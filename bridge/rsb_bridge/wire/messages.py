@@ -19,6 +19,7 @@ from rsb_bridge.model.transports import Protocol
 from rsb_bridge.wire.framing import CONTROL_LIMIT
 from rsb_bridge.wire.headers import LeaseNumber
 from rsb_bridge.wire.records import (
+    AssociationId,
     Bridges,
     CallsReport,
     Count,
@@ -44,7 +45,6 @@ from rsb_bridge.wire.records import (
     RouteId,
     Seconds,
     SentReport,
-    SessionId,
     Shift,
     Source,
     check_limits,
@@ -65,9 +65,9 @@ class Hello(ControlMessageBase, frozen=True):
     domain_id: Count
     host: Name = ""  # its machine's host name, for operators, or empty if unknown
     features: FeatureNames = ()  # the names of its features (`rsb_bridge.feature`); only what both sides have is used
-    session: SessionId = b""  # that it resumes, or empty for a new one
-    handled: Count = 0  # control messages of that session that it has handled
-    outlive: Seconds = 0.0  # s that its side of a session outlives a connection, or 0 if it does not
+    association: AssociationId = b""  # that it resumes, or empty for a new one
+    handled: Count = 0  # control messages of that association that it has handled
+    outlive: Seconds = 0.0  # s that its side of an association outlives a connection, or 0 if it does not
 
 
 class Welcome(ControlMessageBase, frozen=True):
@@ -84,7 +84,7 @@ class Welcome(ControlMessageBase, frozen=True):
     """Text on the operator who has shut the link down, or empty. The client confirms, and is refused."""
     at: Name = ""  # its address in a Zenoh network, or empty. A client that reached it at another address was misled
     features: FeatureNames = ()  # as in `Hello`
-    session: SessionId = b""  # the client's, if this side resumes it, too
+    association: AssociationId = b""  # the client's, if this side resumes it, too
     handled: Count = 0  # as in `Hello`
     outlive: Seconds = 0.0  # as in `Hello`
 
@@ -233,7 +233,7 @@ class Ping(ControlMessageBase, frozen=True):
     n: Count
     sent: Nanoseconds  # ns since the epoch on the sender's clock
     handled: Count = 0
-    """Control messages of this session that the sender has handled, without those in `OF_CONNECTION`."""
+    """Control messages of this association that the sender has handled, without those in `OF_CONNECTION`."""
 
 
 class Pong(ControlMessageBase, frozen=True):

@@ -292,7 +292,7 @@ class DatagramOpener:
         return content
 
 
-class SessionKeys:
+class ConnectionKeys:
     """The data keys of a link, one for each route and direction, derived from its handshake (PROTOCOL.md, 1.3).
 
     Each side's proposals advance a chain, one way. A key is handed out once and kept nowhere else. So nobody who takes

@@ -41,7 +41,7 @@ _COUNTED: dict[Kind, str] = {
 }
 _DIGITS = {Unit.HERTZ: 3, Unit.BYTES_PER_SECOND: None, Unit.MOMENT: 3}
 """Decimal places in JSON."""
-_OF_LINK = figures(Of.LINK, "state", "cause", "reason", "since", "session_ends")
+_OF_LINK = figures(Of.LINK, "state", "cause", "reason", "since", "association_ends")
 _MORE_OF_LINK = figures(Of.LINK, "peer", "rtt", "loss", "fingerprint", "next_fingerprint", "acknowledged")
 _OF_ROUTE = figures(
     Of.ROUTE, "topic", "kind", "link", "pattern", "outgoing", "state", "cause", "reason", "from_peer", "since",
@@ -121,8 +121,8 @@ def link_fault(link: LinkSnapshot) -> str:
 
 def why_down(link: LinkSnapshot) -> str:
     """Return the reason a link is down, and what waits for it or when its client tries again, or an empty string."""
-    if link.session_ends is not None:
-        return f"{link.reason}; topics and calls wait until {clock(link.session_ends)}"
+    if link.association_ends is not None:
+        return f"{link.reason}; topics and calls wait until {clock(link.association_ends)}"
     if link.cause == LinkCause.SHUT_DOWN and link.retry_in is not None:
         return f"{link.reason}; asks again in {math.ceil(link.retry_in)} s"
     return link.reason

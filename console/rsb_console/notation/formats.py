@@ -220,10 +220,10 @@ def next_attempt(link: LinkSnapshot, now: float | None = None) -> str:
 
 def waits(link: LinkSnapshot, now: float) -> str:
     """Format how long topics and calls still wait for a link that is away, or return an empty string."""
-    if link.session_ends is None:
+    if link.association_ends is None:
         return ""
     # Cut to whole seconds, as in `age_since`.
-    return f"topics and calls wait {max(0, math.floor(link.session_ends) - math.floor(now))} s more"
+    return f"topics and calls wait {max(0, math.floor(link.association_ends) - math.floor(now))} s more"
 
 
 def counted(count: int, what: str) -> str:

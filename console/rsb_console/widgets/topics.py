@@ -268,7 +268,7 @@ class TopicsTable(SortedTable[Row]):
         self.now = snapshot.time
         self.rows = {row.key: row for row in rows_of(snapshot)}
         self._peers = len(snapshot.links) > 1
-        self._away = frozenset(link.name for link in snapshot.links if link.session_ends is not None)
+        self._away = frozenset(link.name for link in snapshot.links if link.association_ends is not None)
         self._calls = any(row.spec.kind != "topic" for row in self.rows.values())
         self._names = min(_LONGEST_NAME, max((len(row.topic) for row in self.rows.values()), default=0))
         self.relist()

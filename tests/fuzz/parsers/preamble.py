@@ -7,7 +7,7 @@ from functools import partial
 
 from tests.fuzz.editing import behind, edit_bytes
 from tests.fuzz.parser import Parser
-from tests.support.session_keys import session_keys
+from tests.support.connection_keys import connection_keys
 from tests.wire.links import WELCOME, key_for, make_client, make_server
 
 from rsb_bridge.model.text import is_clean
@@ -83,7 +83,7 @@ def _client(suite: CipherSuite, multiplexed: bool) -> End:
 
 
 def _data_client(suite: CipherSuite, _: bool) -> End:
-    connection = DataConnection(session_keys(suite, key_for(suite)), StreamName(1))
+    connection = DataConnection(connection_keys(suite, key_for(suite)), StreamName(1))
     connection.start()
     return connection
 

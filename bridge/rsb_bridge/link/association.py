@@ -1,6 +1,6 @@
 """The part of a link that outlives its connections: channels, and control messages that the peer has not handled.
 
-Two processes that have linked share an association, the session (PROTOCOL.md, 1.7). It suspends when a connection
+Two processes that have linked share an association (PROTOCOL.md, 1.7). It suspends when a connection
 breaks: routes, their ids, endpoints and queues stay, and control messages wait. It resumes on the next connection where
 both sides were: each says how many messages it has handled, and the other sends the rest again.
 """
@@ -41,11 +41,11 @@ class UnhandledMessage(NamedTuple):
     proposes: int
 
 
-class LinkSession:
-    """One side's part of a session. Messages about a connection itself, such as pings, do not count.
+class Association:
+    """One side's part of an association. Messages about a connection itself, such as pings, do not count.
 
     Args:
-        session_id: names it; that of the link's first connection.
+        association_id: names it; that of the link's first connection.
         instance: of the peer's process.
 
     Attributes:
@@ -55,8 +55,8 @@ class LinkSession:
         is_over: whether more waited than may: it ends with its connection, which ends, too.
     """
 
-    def __init__(self, session_id: bytes, instance: str, channels: DataChannels) -> None:
-        self.id = session_id
+    def __init__(self, association_id: bytes, instance: str, channels: DataChannels) -> None:
+        self.id = association_id
         self._instance = instance
         self.channels = channels
         self.handled = 0
@@ -70,19 +70,19 @@ class LinkSession:
 
     def may_resume(self, hello: Hello) -> bool:
         """Whether a client may resume it: it is the same process, and nothing is missing."""
-        known = (hello.session, hello.instance) == (self.id, self._instance)
+        known = (hello.association, hello.instance) == (self.id, self._instance)
         return known and self._could_go_on_from(hello.handled)
 
     def resumes(self, event: Established) -> bool:
         """Whether both sides resume it on a new connection."""
-        return (event.answer or event.peer).session == self.id
+        return (event.answer or event.peer).association == self.id
 
     def could_resume(self, event: Established) -> bool:
-        """Whether the server's answer begins another session, or resumes this one where it is by now."""
+        """Whether the server's answer begins another association, or resumes this one where it is by now."""
         return not self.resumes(event) or self._could_go_on_from(event.peer.handled)
 
     def suspend(self, reason: str, ends: asyncio.TimerHandle) -> None:
-        """Wait for another connection until the timer ends the session."""
+        """Wait for another connection until the timer ends the association."""
         self._ends = ends
         self.channels.suspend(reason)
 
@@ -151,7 +151,7 @@ class LinkSession:
         self.acknowledge(count)
 
     def acknowledge(self, count: int) -> None:
-        """Forget the first `count` messages of the session.
+        """Forget the first `count` messages of the association.
 
         Raises:
             ProtocolError: fewer were sent, or more were acknowledged before.
