@@ -108,6 +108,16 @@ ROWS = (
         State.WAITING, Cause.PUBLISHED_THERE,
         "server: no publisher of /reversed in domain … /sonar publishes it on robot1: direction: transmit?",
         "no publisher of /reversed in domain … /sonar publishes it on robot1: direction: transmit?"),
+    Row("a reversed direction, and a name that is typed wrong", Topic("/w_sonra", "receive"),
+        (Spec("pinger", "/w_sonar", 5),), (),
+        State.WAITING, Cause.PUBLISHED_THERE,
+        "server: no publisher of /w_sonra … /pinger publishes /w_sonar on robot1: direction: transmit, and that name?",
+        "no publisher of /w_sonra … /pinger publishes /w_sonar on robot1: direction: transmit, and that name?"),
+    Row("the same on the server's side", Topic("/robot7/w_plan", "transmit"),
+        (), (Spec("strategist", "/w_plan", 5),),
+        State.WAITING, Cause.PUBLISHED_THERE,
+        "no publisher of /robot7/w_plan in domain … /strategist publishes /w_plan on the server: direction: receive",
+        "robot1: … /strategist publishes /w_plan on the server: direction: receive, and that name?"),
     Row("two types on one topic", Topic("/mixed", "transmit"),
         (Spec("one", "/mixed", 5), Spec("other", "/mixed", 5, type="Int32", alone=True)), (Spec("mapper", "/mixed"),),
         State.UNHEARD, Cause.TYPE_CONFLICT,
@@ -263,7 +273,7 @@ def test_both_sides_name_the_cause(world: World, row: Row) -> None:
     gone = row.leaves if row.cause is Cause.NO_SUBSCRIBER else ""
     sends = row.topic.direction == "transmit"
     publishers = [f"/{spec.node}" for spec in row.robot if sends and spec.topic == row.topic.topic]
-    ends = publishers, [f"/{spec.node}" for spec in row.pc if spec.node != gone]
+    ends = publishers, [f"/{spec.node}" for spec in row.pc if spec.node != gone and spec.topic == row.topic.topic]
 
     def named(routes: list[dict[str, Any]]) -> bool:
         return all((route["publishers"], route["subscribers"]) == ends for route in routes)

@@ -11,7 +11,7 @@ from tests.support.virtual_time import virtual_loop
 from rsb_bridge.model.calls import LANES
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.no_ros import NoRos
-from rsb_bridge.ros.ros_graph import Asked, NameSuggester, Searches, SimilarTopics, Sought
+from rsb_bridge.ros.ros_graph import Asked, NameSuggester, Searches, SimilarTopics, Sought, is_mistyped
 from rsb_bridge.ros.ros_interface import Endpoint, RosError
 
 if TYPE_CHECKING:
@@ -112,6 +112,24 @@ def test_only_what_is_published_and_alike_is_named() -> None:
         ("/battery_state", ""),
     ):
         assert found(SimilarTopics, graph, Sought(topic)) == similar
+
+
+@pytest.mark.parametrize(
+    ("other", "meant"),
+    [
+        ("/robot1/scna", True),
+        ("/scan", True),
+        ("/robot2/robot1/scan", True),
+        ("/robot1/scan_filtered", False),
+        ("/robot1/front_scan", False),
+        ("/robot1/scan/compressed", False),
+        ("/robot1/odom", False),
+        ("", False),
+    ],
+)
+def test_derived_topic_is_no_mistyped_one(other: str, meant: bool) -> None:
+    """Nodes derive topics of the same type from a topic; their names have most of its letters."""
+    assert is_mistyped("/robot1/scan", other) is meant
 
 
 class _Lidar(NoRos):

@@ -14,6 +14,7 @@ from rsb_bridge.cdr.description import TypeVersion
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Direction, Topic
 from rsb_bridge.ros.ros_interface import Endpoint
+from rsb_bridge.route.listeners import PublishedAs
 from rsb_bridge.route.resolving import Resolver, UnresolvedError, choose_type, left_out
 from rsb_bridge.wire.messages import Propose
 
@@ -158,10 +159,24 @@ def test_remapped_topic_is_named_with_its_nodes() -> None:
 def test_publisher_on_other_side_asks_for_other_direction(lists: Direction, meant: str) -> None:
     side = Side(lists=lists)
     resolver = side.resolver
-    resolver.published_there = ("/lidar",)
+    resolver.published_there = PublishedAs(("/lidar",))
     assert resolver.no_publisher() == f"{NOBODY}; /lidar publishes it on robot1: direction: {meant}?"
     side.peer.is_client = True
     assert "it on the server:" in resolver.no_publisher()
+
+
+def test_near_name_on_other_side_asks_for_both() -> None:
+    side = Side()
+    resolver = side.resolver
+    resolver.published_there = PublishedAs(("/lidar",), "/scam")
+    assert resolver.no_publisher() == f"{NOBODY}; /lidar publishes /scam on robot1: direction: receive, and that name?"
+
+
+def test_near_name_here_counts_more_than_there() -> None:
+    side = Side("/robot1/scam", publisher(A, "1", "/lidar"))
+    resolver = side.resolver
+    resolver.published_there = PublishedAs(("/desk",), "/scan")
+    assert resolver.no_publisher() == f"{NOBODY}; did you mean /robot1/scam?"
 
 
 def test_a_search_without_a_result_leaves_no_circle() -> None:

@@ -141,6 +141,14 @@ def are_alike(name: str, other: str) -> bool:
     return _is_within(name, other) or bool(difflib.get_close_matches(name, [other], cutoff=_ALIKE))
 
 
+def is_mistyped(name: str, other: str) -> bool:
+    """Whether `other` may be meant by `name`: it is similar without their common namespace, or in another one."""
+    here, there = name.split("/"), other.split("/")
+    pairs = enumerate(zip(here, there, strict=False))
+    common = next((at for at, (one, another) in pairs if one != another), 1)
+    return bool(other) and are_alike("/" + "/".join(here[common:]), "/" + "/".join(there[common:]))
+
+
 async def most_similar(name: str, names: Iterable[str], ends: Callable[[str], Sequence[Endpoint]]) -> str:
     """Return the most similar name that has endpoints, or an empty string."""
     compared, close = sorted(names)[:_MOST_NAMES], list[str]()

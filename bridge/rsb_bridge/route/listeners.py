@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.cdr.known_types import CLOCK
 from rsb_bridge.model.audience import Audience, Deaf
+from rsb_bridge.model.demands import full_type
 from rsb_bridge.model.motion import may_move
 from rsb_bridge.model.names import is_bridge
 from rsb_bridge.model.qos import clashes, match_subscriptions
@@ -13,7 +14,7 @@ from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.ros.announcements import BY_HAND
-from rsb_bridge.ros.ros_graph import agreed_type, type_hint
+from rsb_bridge.ros.ros_graph import Sought, agreed_type, is_mistyped, type_hint
 from rsb_bridge.route.combined_verdict import NODE_LENGTH, NODES, node_names
 from rsb_bridge.route.loop_filter import publishers_besides
 
@@ -114,6 +115,18 @@ def no_subscriber(topic: str, domain: str | None, present: Collection[object] = 
     )
 
 
+class PublishedAs(NamedTuple):
+    """Who publishes a topic on its receiving side.
+
+    Attributes:
+        nodes: some of their names.
+        near: the similar name under which they do, or empty if it is the topic's own.
+    """
+
+    nodes: tuple[str, ...] = ()
+    near: str = ""
+
+
 class Listeners:
     """The subscriptions of one route's topic here.
 
@@ -123,8 +136,8 @@ class Listeners:
         others: other publishers of the topic here, if a subscription does not match.
         clocks: if it is a clock, the nodes and links that publish it here besides this link.
         further: if its messages may move a robot, the publishers of the topic here besides this link's.
-        published_by: nodes that publish it here, while the sending side has no publisher: its direction may be wrong.
-            Empty for what several nodes publish by design.
+        published: who publishes it here, while the sending side has no publisher: its direction may be wrong.
+            Nobody for what several nodes publish by design.
         type_before: that the publishers had before the present one, or empty.
         hint: the type and its hash that they have, each empty if unknown: a sender without publishers takes it.
     """
@@ -138,7 +151,7 @@ class Listeners:
         self.further: tuple[Endpoint, ...] = ()
         self.hint = ("", "")
         self.type_before = ""
-        self.published_by: tuple[str, ...] = ()
+        self.published = PublishedAs()
         self._unmatched_since: float | None = None  # s, since when DDS lists subscriptions and matches none
         self._asked_at = float("-inf")
 
@@ -158,7 +171,6 @@ class Listeners:
     def look_without_publisher(self) -> None:
         """Find the type that the subscriptions have, while nothing is published here, and who else drives."""
         self.hint = type_hint(self._route.ends, self._route.remote_topic)
-        self.look_for_publishers(sends=False)
         if self._flow.drivers.are_watched or self.further:
             self._look_for_drivers()
 
@@ -167,10 +179,29 @@ class Listeners:
         route, (type_name, _) = self._route, self.hint
         moves = self._flow.drivers.are_watched or may_move(type_name, route.topic, route.remote_topic)
         if sends or moves or type_name in OF_MANY or not route.purpose.in_graph:
-            self.published_by = ()
+            self.published = PublishedAs()
         else:
-            found = route.ends.publishers(route.remote_topic)
-            self.published_by = node_names(each for each in found if not is_bridge(each.node))
+            self._look_for(type_name or full_type(route.proposal.type))
+
+    def _look_for(self, type_name: str) -> None:
+        """Find the nodes that publish it here, or else a topic of this type whose name may be written for its own."""
+        route = self._route
+        if found := self._nodes_that_publish(route.remote_topic):
+            self.published = PublishedAs(found)
+            return
+
+        def found_another() -> None:
+            self._look_for(type_name)
+            route.judge_again()
+
+        near = route.context.similar_topics.of(Sought(route.remote_topic, type_name), found_another)
+        found = self._nodes_that_publish(near, type_name) if is_mistyped(route.remote_topic, near) else ()
+        self.published = PublishedAs(found, near if found else "")
+
+    def _nodes_that_publish(self, topic: str, type_name: str = "") -> tuple[str, ...]:
+        """Name nodes besides bridges that publish a topic, with this type if it is known."""
+        found = (each for each in self._route.ends.publishers(topic) if not type_name or each.type_name == type_name)
+        return node_names(each for each in found if not is_bridge(each.node))
 
     def look(self) -> None:
         """Find the subscriptions of what is published here, unless they are the same ones, most likely."""

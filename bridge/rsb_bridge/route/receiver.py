@@ -236,14 +236,18 @@ class Receiver:
         """Open the channel once there is a publisher, and look for subscribers."""
         if not self.outputs:
             self.listeners.look_without_publisher()
+            self._look_for_publishers()
             return
         if self.route.life.accepted and self.carried.channel is None:
             # While it is paused, too: the other side may not know yet, and frames without a channel hold up all others.
             self.route.peer.open_channel(self.route)
-        report = self.facts.report_now
-        self.listeners.look_for_publishers(sends=report is None or report.publishers > 0)
+        self._look_for_publishers()
         self.listeners.look()
         self.lazy.tell()
+
+    def _look_for_publishers(self) -> None:
+        report = self.facts.report_now
+        self.listeners.look_for_publishers(sends=bool(self.outputs) if report is None else report.publishers > 0)
 
     @property
     def rests(self) -> bool:
@@ -302,8 +306,8 @@ class Receiver:
         listeners = self.listeners
         audience, report = self.flow.audience, self.facts.report
         drivers = self.flow.drivers.here
-        after, published_by = self.flow.silence.watch.after, listeners.published_by
-        return after, report, audience, listeners.others, listeners.clocks, drivers, published_by
+        after, published = self.flow.silence.watch.after, listeners.published
+        return after, report, audience, listeners.others, listeners.clocks, drivers, published
 
     def next_change(self, now: float, crossing: Crossing) -> float:
         if self.facts.ledger.open:
@@ -313,12 +317,16 @@ class Receiver:
 
     @property
     def _is_polled(self) -> bool:
-        # Histories of publishers that have gone are dropped, and nodes are asked for the description of a type.
-        return self.flow.is_latched or (bool(self.carried.type_name) and self.check.checker is None)
+        # Histories of publishers that have gone are dropped, nodes are asked for the description of a type, and a topic
+        # of a similar name may appear.
+        asks = bool(self.carried.type_name) and self.check.checker is None
+        return self.flow.is_latched or asks or self.facts.is_unpublished
 
     def act(self, now: float, crossing: Crossing) -> None:
         self.flow.act(now, awaited=crossing.flows)
         self.outputs.tick()
+        if self.facts.is_unpublished:
+            self._look_for_publishers()
         if self.route.purpose.in_graph:  # else no node knows the type
             self.check.ask_subscribers(self.route.remote_topic, self.carried.endpoints)
         expired = self.carried.channel.counts().expired if self.carried.channel is not None else 0
@@ -388,7 +396,8 @@ class Receiver:
             jitter=self.flow.latency.jitter,
             verdict=record_of(self.route.verdict(for_peer=True)),
             nodes=self.flow.audience.nodes,
-            publishers=self.listeners.published_by,
+            publishers=self.listeners.published.nodes,
+            published_as=self.listeners.published.near,
             deaf=tuple(DeafRecord(each.node, each.cause, each.reason) for each in self.flow.audience.deaf),
             came_before=self.facts.came_before,
             malformed=self.path.malformed,

@@ -18,6 +18,7 @@ from rsb_bridge.model.text import join_first
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.ros_graph import Sought, are_alike
 from rsb_bridge.route.combined_verdict import nodes_by, who_publish
+from rsb_bridge.route.listeners import PublishedAs
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -68,7 +69,7 @@ class Resolver:
     """Finds type and QoS of one route's messages. Asked again whenever the graph may have changed."""
 
     def __init__(self, route: Route) -> None:
-        self.published_there: tuple[str, ...] = ()  # nodes that publish the topic on the receiving side
+        self.published_there = PublishedAs()  # on the receiving side
         self.hint = TypeVersion()  # the type that the topic has on the receiving side
         self.publisher_qos: Qos | None = None  # that all publishers offer, or None without any
         self.unresolved: UnresolvedError | None = None  # the reason why type or QoS is unknown
@@ -136,8 +137,12 @@ class Resolver:
         """
         if self._publishers:
             return None  # without a search of the graph
-        if self.published_there:
+        if self.published_there.nodes and not self.published_there.near:
             return self._on_other_side()
+        return self._under_near_name() or (self._on_other_side() if self.published_there.nodes else None)
+
+    def _under_near_name(self) -> Elsewhere | None:
+        """Find a topic here that may be meant, or one that this topic's publishers publish now."""
         topic, context = self._proposal.topic, self._context
         type_name = self._used.name or full_type(self._proposal.type) or self.hint.name
         meant = context.similar_topics.of(Sought(topic, type_name, self._nodes), self._route.judge_again)
@@ -171,10 +176,11 @@ class Resolver:
 
     def _on_other_side(self) -> Elsewhere:
         """Say that the direction may be wrong: in the entry that lists the topic, on whichever side it is."""
-        route, who = self._route, who_publish(self.published_there)
+        route, (nodes, near) = self._route, self.published_there
         where = "the server" if route.peer.is_client else route.peer.name
         direction = "transmit" if route.spec.direction == "receive" else "receive"
-        return Elsewhere(Cause.PUBLISHED_THERE, f"{who} it on {where}: direction: {direction}?")
+        remedy = f"direction: {direction}, and that name?" if near else f"direction: {direction}?"
+        return Elsewhere(Cause.PUBLISHED_THERE, f"{who_publish(nodes)} {near or 'it'} on {where}: {remedy}")
 
 
 def no_publisher(topic: str, domain: str, elsewhere: Elsewhere | None = None, *, gone: bool = False) -> str:

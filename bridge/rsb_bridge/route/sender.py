@@ -26,6 +26,7 @@ from rsb_bridge.route.lateness import SendersDelay, delay_of_sender
 from rsb_bridge.route.lazy import LazySender
 from rsb_bridge.route.ledger import OUTAGE, RouteLedger
 from rsb_bridge.route.lifecycle import RouteEvent, RoutePhase
+from rsb_bridge.route.listeners import PublishedAs
 from rsb_bridge.route.loop_filter import LoopFilter
 from rsb_bridge.route.renewal import Renewal
 from rsb_bridge.route.resolving import Resolver
@@ -393,7 +394,7 @@ class Sender:
             text = f"malformed {whose}: {report.malformed}: see the node here that sent it"
             self.route.notices.message_error(EventCode.ROUTE_MALFORMED, text)
         self.facts.report = report
-        self.resolver.published_there = report.publishers
+        self.resolver.published_there = PublishedAs(report.publishers, report.published_as)
         self.flow.drivers.told(report.drivers)
         self.route.wake()
         deaf = tuple(Deaf(each.node, each.cause, each.reason) for each in report.deaf)

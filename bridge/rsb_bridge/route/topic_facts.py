@@ -45,6 +45,7 @@ if TYPE_CHECKING:
 
 _UNUSUAL = frozenset({Cause.LATE, *LOSS_CAUSES, *EXPIRES})
 _NO_TYPE = frozenset({Cause.TYPE_UNKNOWN, Cause.TYPE_CONFLICT})
+_NO_PUBLISHER = frozenset({Cause.NO_PUBLISHER, Cause.SIMILAR_NAME, Cause.PUBLISHED_THERE})
 _NODES_START_IN = 10.0
 """s from an opening for which a topic without a publisher only waits: nodes that start with the bridge are up by then.
 A round figure: nothing was measured; with a tenth of it, each boot of a robot would begin with faults."""
@@ -356,7 +357,9 @@ class ReceiverFacts(TopicFacts):
         if report is None or report.publishers:
             seen = Stage("publisher seen", None if report is None else True)
         else:
-            seen = Stage("publisher seen", False, f"no publisher of {self.route.far_topic} on the other side")
+            why = peer.text if peer.cause in _NO_PUBLISHER else ""
+            why = why or f"no publisher of {self.route.far_topic} on the other side"
+            seen = Stage("publisher seen", False, why)
         # A subscription that does not match is no obstacle to others that do.
         deaf = () if self.flow.audience.count else self.flow.audience.deaf
         clash = next((each.reason for each in deaf if each.cause == Cause.QOS_INCOMPATIBLE), "")
@@ -377,6 +380,11 @@ class ReceiverFacts(TopicFacts):
             heard = Stage("subscriber seen", None, why)
         before = seen, Stage("type known", known or None, self.carried.type_name or peer.text), matches, subscribed
         return stages_with_link(self, before, (sent, received, published, heard))
+
+    @property
+    def is_unpublished(self) -> bool:
+        """Whether the sending side has said that nobody publishes the topic there."""
+        return self.report_now is not None and not self.report_now.publishers
 
     @property
     def has_kept(self) -> bool:

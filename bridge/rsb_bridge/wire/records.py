@@ -149,6 +149,7 @@ class ReceivedReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tr
     nodes: NodeNames = ()  # some of the nodes that hear the topic
     deaf: DeafNodes = ()  # some of the other subscriptions
     publishers: NodeNames = ()  # some of the nodes that publish the topic here, while the sending side has no publisher
+    published_as: Name = ""  # the similar name under which `publishers` do, or empty if it is the topic's own
     came_before: bool = False  # whether messages came in an earlier incarnation, and none in this one
     malformed: Reason = ""  # the field of the last malformed message, and what is wrong with it, or empty
     velocity: tuple[float, float] | None = None
