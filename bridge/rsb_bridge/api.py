@@ -101,6 +101,13 @@ class EngineApi(ABC):
     def snapshot(self) -> Snapshot:
         """Return the state of everything at one moment, recent and immutable."""
 
+    def recorded(self) -> Snapshot:
+        """Return the newest state that is there without asking for one: states are up to date, figures may be older.
+
+        It is renewed once a second as long as the engine works.
+        """
+        return self.snapshot()
+
     @abstractmethod
     def events(self, after: int = 0) -> list[Event]:
         """Return the events numbered above `after` that are still remembered, oldest first."""

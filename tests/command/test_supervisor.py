@@ -5,11 +5,18 @@ from __future__ import annotations
 import socket
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, cast
 
 import pytest
 from tests.console.scripted import ScriptedEngine
 
-from rsb_console.command.headless import Supervisor
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.snapshot import Event, Level
+from rsb_console.command.headless import Supervisor, bridge_until_told
+
+if TYPE_CHECKING:
+    from rsb_bridge.model.snapshot import Snapshot
 
 
 @pytest.mark.parametrize("abstract", [False, True], ids=["path", "abstract"])
@@ -41,3 +48,34 @@ def test_what_systemd_hears(tmp_path: Path, abstract: bool) -> None:
 @pytest.mark.parametrize("environ", [{}, {"NOTIFY_SOCKET": "/nonexistent"}])
 def test_without_systemd_nothing_happens(environ: dict[str, str]) -> None:
     Supervisor(environ).ready()
+
+
+def test_an_engine_that_hangs_is_not_reported_alive(capfd: pytest.CaptureFixture[str]) -> None:
+    """It is asked for nothing: who looks has each route's figures renewed, and is told that time goes on."""
+    signals = SimpleNamespace(caught="", wants_reload=False, hung_up=False)
+    shown = list[float]()
+
+    class Hangs(ScriptedEngine):
+        looks = 0
+
+        def snapshot(self) -> Snapshot:
+            self.looks += 1
+            return replace(self.now, time=self.now.time + self.looks)
+
+        def recorded(self) -> Snapshot:
+            return self.now
+
+        def wait_for_events(self, after: int, timeout: float) -> list[Event]:
+            return [Event(after + 1, 0.0, Level.DEBUG, EventCode.ENGINE_STOPPED, "")]
+
+    class Systemd(Supervisor):
+        def show(self, now: Snapshot) -> None:
+            shown.append(now.time)
+            if len(shown) == 10:
+                signals.caught = "SIGTERM"
+            super().show(now)
+
+    engine = Hangs()
+    bridge_until_told(engine, cast("Any", signals), status_every=1e6, supervisor=Systemd({}))
+    assert set(shown) == {engine.now.time}
+    assert not engine.looks

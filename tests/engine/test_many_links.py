@@ -78,7 +78,7 @@ class Link:
 class Route:
     def __init__(self, turns: Turns) -> None:
         self.snapshot = turns.called
-        self.shows_the_same = False
+        self.shows_the_same = self.only_counts = False
         self.purpose = TOPIC
 
 
@@ -246,3 +246,27 @@ def test_free_descriptors_are_known_without_listing_all(monkeypatch: pytest.Monk
 def publisher(context: Context) -> SnapshotPublisher:
     blank = Snapshot(0.0, "control", "server", "", 0, running=False)
     return SnapshotPublisher(blank, EventLog(context.clock), context.clock)
+
+
+def test_while_nobody_looks_figures_alone_are_seldom_renewed(
+    loop: VirtualLoop, make_context: Callable[..., Context]
+) -> None:
+    turns = Turns(loop)
+    (link,) = [Link(turns, routes=20)]
+    link.snapshot = lambda: None  # type: ignore[method-assign]
+    shown = publisher(make_context())
+
+    def renewals(seconds: int) -> int:
+        before = turns.calls
+        for _ in range(seconds):
+            loop.run_until_complete(shown.refresh(Many([link])))
+        return turns.calls - before
+
+    assert renewals(1) == 20
+    for route in link.routes.values():
+        route.only_counts = True
+    assert renewals(10) == 20, "each had its turn"
+    link.routes["3"].only_counts = False
+    assert renewals(10) == 20 + 9, "what may have changed has its turn each second"
+    shown.newest()
+    assert renewals(1) == 20

@@ -343,6 +343,9 @@ class Engine(EngineApi):
         """
         return self.snapshots.newest()
 
+    def recorded(self) -> Snapshot:
+        return self.snapshots.latest
+
     def events(self, after: int = 0) -> list[Event]:
         return self.log.after(after)
 

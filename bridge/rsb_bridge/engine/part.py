@@ -34,7 +34,7 @@ class EnginePart:
         """Begin, before the links do. May raise what `Bridge.start` takes for a reason not to start."""
 
     def tick(self, snapshot: Snapshot) -> None:
-        """Do the regular work, once a second, with the newest snapshot."""
+        """Do the regular work, once a second, with what `rsb_bridge.api.EngineApi.recorded` returns."""
 
     async def close(self) -> None:
         """End, before the links do: what it still sends has to cross them."""

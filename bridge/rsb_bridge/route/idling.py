@@ -32,14 +32,15 @@ class Idling:
     Attributes:
         until: time (s) of the next tick.
         passed: messages at the last tick.
+        signs: of the last tick, the same object as long as they are equal.
     """
 
-    __slots__ = ("_settles_until", "_signs", "passed", "until")
+    __slots__ = ("_settles_until", "passed", "signs", "until")
 
     def __init__(self, now: float) -> None:
         self.until = now
         self._settles_until = now + SETTLES
-        self._signs: Signs = ()
+        self.signs: Signs = ()
         self.passed = 0
 
     def wake(self, now: float) -> None:
@@ -48,19 +49,22 @@ class Idling:
 
     def missed(self, signs: Callable[[], Signs], now: float) -> bool:
         """Whether the signs have changed of a route that is idle, or about to be."""
-        return now < self.until and signs() != self._signs
+        return now < self.until and signs() != self.signs
 
-    def ticked(self, signs: Signs, passed: int, now: float, next_change: float) -> None:
+    def ticked(self, signs: Signs, passed: int, now: float, next_change: Callable[[], float]) -> None:
         """Decide after a tick when the next one is.
 
         Args:
             passed: messages so far.
-            next_change: time (s) of the next change by time alone, `now` if it may come at any moment, or infinite.
+            next_change: returns the time (s) of the next change by time alone, `now` if it may come at any moment, or
+                infinity.
         """
-        if passed != self.passed or signs != self._signs:
+        if passed != self.passed or signs != self.signs:
             self._settles_until = now + SETTLES
-        self._signs, self.passed = signs, passed
-        self.until = now if now < self._settles_until else next_change
+        if signs != self.signs:
+            self.signs = signs
+        self.passed = passed
+        self.until = now if now < self._settles_until else next_change()
 
 
 class Tickable(Protocol):

@@ -178,6 +178,7 @@ class Route:
         self._verdict_for_peer = FINE  # made together with the former
         self._lossy_path = LossyPath()
         self._shown_of_features: dict[str, Any] = {}
+        self._shown_signs: Signs | None = None
         self.judged = CombinedVerdict(sends=self.outgoing, peer_name="server" if peer.is_client else peer.name)
         self.meter = RateMeter(context.now())
         self.rested = [self.meter.rested]
@@ -427,6 +428,13 @@ class Route:
         blank = self.rests(now) and self.meter.is_blank(now) and not self.judged.announced.verdict.lasting
         return blank and self.peer.route_fields(self) == self._shown_of_features
 
+    @property
+    def only_counts(self) -> bool:
+        """Whether it is in order, and nothing but figures may differ from its last snapshot."""
+        verdict = self._verdict
+        fine = verdict is not None and verdict.state is State.OK and not self.arming.required
+        return fine and self.idling.signs is self._shown_signs
+
     def _signs(self) -> Signs:
         """Return what changes if anything happens to it, apart from messages and the passing of time."""
         carried = self.half.carried
@@ -467,7 +475,7 @@ class Route:
             self.log(said.level, said.code, said.text, **about)
         self.half.act(now, crossing)
         # Last, so that the signs contain all that the tick has changed.
-        self.idling.ticked(self._signs(), self.half.passed, now, self._next_change(now, crossing))
+        self.idling.ticked(self._signs(), self.half.passed, now, lambda: self._next_change(now, crossing))
 
     @property
     def link_full(self) -> Fullness | None:
@@ -543,7 +551,7 @@ class Route:
         """Return the route as it is now."""
         now, wall = self.context.now(), self.context.wall()
         facts, carried = self.half.facts, self.half.carried
-        self._shown_of_features = self.peer.route_fields(self)
+        self._shown_of_features, self._shown_signs = self.peer.route_fields(self), self.idling.signs
         verdict, from_peer = self.judged.shown(self.verdict())
         common = partial(
             RouteSnapshot,

@@ -31,6 +31,8 @@ _SELDOM = 1.5  # Hz; somebody who looks no more often, as a log does once a seco
 _EVERY, _EVERY_LOOKED_AT = 1.0, 0.25  # s from one renewal to the next
 _CLOCK_SET = 0.1  # s by which the shown times of routes to which nothing happens may be wrong
 _CAUGHT_UP_WITHIN = 0.5  # s that the first look after a while waits; 1,000 routes take 0.05 s. A round figure
+# Renewals while nobody looks until each route's figures had their turn: the history adds them up by the minute.
+_FIGURES_EVERY = 10
 _HANGS_AFTER = 10.0  # s without a renewal. A round figure: on a busy machine, threads were seen to stand still for 3 s
 # s that a timer may come early. Without it, such a turn would be counted as the one before, and done twice.
 _EARLY = 0.01
@@ -47,6 +49,10 @@ class ShownRoute(Protocol):
     @property
     def shows_the_same(self) -> bool:
         """Whether its snapshot stays the same until something happens to it."""
+
+    @property
+    def only_counts(self) -> bool:
+        """Whether nothing but figures may differ from its last snapshot."""
 
 
 class ShownLink(Protocol):
@@ -86,8 +92,9 @@ class SnapshotPublisher:
     """Renews the snapshot: all of it for somebody who looks, else what has changed, once a second, for the record.
 
     Attributes:
-        latest: the newest snapshot; replaced, never changed, so that any thread may read it. While nobody looks, idle
-            routes are as they were when they became so.
+        latest: the newest snapshot; replaced, never changed, so that any thread may read it. While nobody looks, the
+            figures of a route in order may be `_FIGURES_EVERY` s old, and idle ones are as they were when they became
+            so.
     """
 
     def __init__(self, blank: Snapshot, events: EventLog, clock: Clock) -> None:
@@ -105,7 +112,7 @@ class SnapshotPublisher:
         self._looks = 0
         self._looks_at: deque[tuple[float, int]] = deque()
         self._looked_at = -math.inf
-        self._turn = 0
+        self._turn = self._figures = 0
         self._published_at = clock.steady()
         self._is_watched = False  # by somebody who looks more often than once a second
         self._catch_up: Callable[[threading.Event], object] | None = None
@@ -182,7 +189,7 @@ class SnapshotPublisher:
         if looked_at:
             turn = [each for each in _routes_of(links) if each not in self._same or not each.shows_the_same]
         else:
-            turn = [each for link in links for each in link.awake if each.purpose.is_shown]
+            turn = self._for_the_record([each for link in links for each in link.awake if each.purpose.is_shown])
         new = [route for route in turn if route not in self._routes]
         if (self._is_watched and not waiting) or not looked_at:
             at_once = min(len(turn), max(_AT_ONCE, -(-len(turn) // _REFRESHES)))
@@ -194,6 +201,16 @@ class SnapshotPublisher:
         self._publish(bridge, running=True, unsaved=bridge.unsaved if looked_at else self.latest.unsaved)
         for each in waiting:
             each.set()
+
+    def _for_the_record(self, awake: Sequence[ShownRoute]) -> list[ShownRoute]:
+        """Return the routes to renew while nobody looks: those that changed, and of the others some, for their figures."""
+        at_once = -(-len(awake) // _FIGURES_EVERY)
+        first, self._figures = self._figures, (self._figures + at_once) % max(1, len(awake))
+        return [
+            route
+            for number, route in enumerate(awake)
+            if (number - first) % len(awake) < at_once or route not in self._routes or not route.only_counts
+        ]
 
     async def refresh_all(self, bridge: ShownBridge) -> None:
         """Renew everything: after a command, whose outcome a user waits for."""

@@ -163,19 +163,21 @@ def bridge_until_told(
         # A monitor may want a status line more often than an idle engine is looked at.
         if events or now >= min(next_look, next_status):
             next_look = now + _LOOK_EVERY
-            snapshot = engine.snapshot()
+            shows = now >= next_status
+            # Who looks has each route's figures renewed.
+            snapshot = engine.snapshot() if shows else engine.recorded()
             if not snapshot.running:
                 reason = reason or "the engine has ended by itself"
             elif engine.waits_for_operator:
                 reason = reason or "the link was shut down on purpose"
             supervisor.show(snapshot)
-            if now >= next_status:
+            if shows:
                 next_status = now + status_every
                 writer.write(status(snapshot))
     writer.write(report(Level.INFO, EventCode.ENGINE_STOPPING, f"stopping: {reason}"))
     supervisor.stopping()
     # After the stop, no engine runs.
-    failed = not engine.snapshot().running
+    failed = not engine.recorded().running
     engine.stop(_STOPS_WITHIN)
     # The stop itself has events, too.
     log(engine.events(seen))

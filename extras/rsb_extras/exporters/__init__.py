@@ -62,7 +62,7 @@ class Exporters(Feature):
         from rsb_extras.exporters.ros_topics import DiagnosticsExporter, DriverExporter  # noqa: PLC0415
 
         return (
-            DiagnosticsExporter(bridge.context),
+            DiagnosticsExporter(bridge.context, bridge.newest_snapshot),
             DriverExporter(bridge.context, bridge.newest_snapshot),
             MetricsExporter(bridge.context, bridge.newest_snapshot),
             FaultHook(bridge.context, bridge.folder),

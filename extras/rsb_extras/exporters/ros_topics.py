@@ -186,8 +186,9 @@ class _SessionTopic:
 class DiagnosticsExporter(EnginePart):
     """Publishes the state of links and routes on the session's `diagnostics_topic`, while somebody listens."""
 
-    def __init__(self, context: Context) -> None:
+    def __init__(self, context: Context, look: Callable[[], Snapshot]) -> None:
         super().__init__()
+        self._look = look
         self._topic = _SessionTopic(context, DIAGNOSTICS_TOPIC, _TYPE, _QOS)
         self.by_key = (((DIAGNOSTICS_TOPIC.name,), self.open),)
 
@@ -196,7 +197,7 @@ class DiagnosticsExporter(EnginePart):
 
     def tick(self, snapshot: Snapshot) -> None:
         if self._topic.is_heard(snapshot):
-            self._topic.publish(diagnostics(snapshot))
+            self._topic.publish(diagnostics(self._look()))
 
     async def close(self) -> None:
         self._topic.close()
