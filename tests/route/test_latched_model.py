@@ -179,6 +179,7 @@ class FarPublisher:
 
     gid = b""
     subscriber_count = 1
+    refuses = False
 
     def __init__(self, dds: FarDds, depth: int) -> None:
         self._dds = dds

@@ -63,6 +63,11 @@ BARE_DDS: Final = "a DDS program that is no ROS node"
 """The node's name of an endpoint that no node has."""
 
 
+_KIND_AT = 15
+_WITH_KEY = frozenset({b"\x02", b"\x07"})
+"""Of a user's writer and reader (RTPS 2.5, 9.3.1.2)."""
+
+
 class TopicSpec(NamedTuple):
     """A topic to subscribe to or to publish.
 
@@ -112,6 +117,14 @@ class Endpoint(NamedTuple):
     qos: Qos
     gid: bytes = b""
 
+    @property
+    def has_key(self) -> bool:
+        """Whether its type has a key, by the kind in a GUID of DDS. Neither the type's hash nor its description tells.
+
+        Only where DDS does not match it: other middlewares' ids have no kind.
+        """
+        return self.gid[_KIND_AT : _KIND_AT + 1] in _WITH_KEY
+
 
 class LostPort(NamedTuple):
     """A port of this process's in shared memory, in whose place a sender has put another file.
@@ -146,6 +159,10 @@ class Subscription(Protocol):
         """How many publishers DDS has matched with it, our own node's too."""
 
     @property
+    def refuses(self) -> bool:
+        """Whether DDS has refused a publisher for a policy that the graph does not show."""
+
+    @property
     def liveliness(self) -> Liveliness:
         """The liveliness of the publishers that match. Only asked if the QoS has a lease."""
 
@@ -172,6 +189,10 @@ class Publisher(Protocol):
     @property
     def subscriber_count(self) -> int:
         """How many subscriptions of other nodes match it now."""
+
+    @property
+    def refuses(self) -> bool:
+        """Whether DDS has refused a subscription for a policy that the graph does not show."""
 
     @property
     def acknowledged(self) -> bool:
