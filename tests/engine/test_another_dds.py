@@ -21,7 +21,7 @@ from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.ros_interface import BARE_DDS
-from rsb_bridge.route.listeners import DeafText, UnmatchedText
+from rsb_bridge.route.listeners import DURABLE, DeafText, UnmatchedText
 from rsb_bridge.route.topic_verdict import PUBLISHED_NOTHING
 
 pytest.importorskip("cyclonedds", reason="cyclonedds is not installed: it has wheels for Python 3.11 to 3.13")
@@ -242,3 +242,37 @@ def test_program_that_is_killed_returns(bridge: Bridge, robot: Domain, pc: Domai
             program.kill()
         eventually(lambda: route(client, "/numbers").cause in {Cause.NO_PUBLISHER, Cause.PUBLISHER_GONE})
         eventually(lambda: route(server, "/numbers").cause in {Cause.NO_PUBLISHER, Cause.PUBLISHER_GONE})
+
+
+MORE_DURABLE = {"transient": Policy.Durability.Transient, "persistent": Policy.Durability.Persistent}
+
+
+@pytest.mark.parametrize("kind", MORE_DURABLE)
+def test_more_durable_writer_is_latched_from_now_on(bridge: Bridge, robot: Domain, pc: Domain, kind: str) -> None:
+    """Cyclone DDS gives a subscription of ROS no history of it."""
+    with closing(CycloneProgram(robot.id)) as near:
+        writer = near.writer("/durable", USUAL, MORE_DURABLE[kind])
+        writer.publish("before")
+        server, client = bridge.both(Topic("/durable", "transmit"))
+        early = _StockReader(pc.listener("/durable", qos=_profile(LATCHED)))
+        eventually(lambda: writer.matched)
+        for words in "a", "b":
+            writer.publish(words)
+        eventually(lambda: early.texts[-2:] == ["a", "b"])
+        late = _StockReader(pc.listener("/durable", qos=_profile(LATCHED)))
+        eventually(lambda: late.texts[-2:] == ["a", "b"])
+        writer.publish("c")
+        eventually(lambda: late.texts[-3:] == early.texts[-3:] == ["a", "b", "c"])
+        eventually(lambda: (route(client, "/durable").state, route(server, "/durable").state) == ("ok", "ok"))
+
+
+@pytest.mark.parametrize("kind", MORE_DURABLE)
+def test_reader_that_asks_for_more_durability_is_named(bridge: Bridge, robot: Domain, pc: Domain, kind: str) -> None:
+    with closing(CycloneProgram(pc.id)) as far:
+        far.reader("/durable", USUAL, MORE_DURABLE[kind])
+        robot.publisher("/durable", qos=_profile(LATCHED))
+        server, client = bridge.both(Topic("/durable", "transmit"))
+        eventually(lambda: route(server, "/durable").cause == route(client, "/durable").cause == Cause.QOS_INCOMPATIBLE)
+        found = route(server, "/durable")
+        assert (found.state, is_wrong(found)) == ("unheard", True)
+        assert f"asks for {DURABLE}" in found.reason

@@ -109,6 +109,7 @@ class Endpoint(NamedTuple):
         type_hash: ``RIHS01_...``, or empty if unknown.
         qos: its policies, clamped (`rsb_bridge.model.qos.clamp_qos`); the depth is unknown to others, and 0 here.
         gid: its id in the middleware, the same for everybody in the domain.
+        is_durable: whether its durability is one of DDS's that ROS does not have: transient or persistent.
     """
 
     node: str
@@ -116,6 +117,7 @@ class Endpoint(NamedTuple):
     type_hash: str
     qos: Qos
     gid: bytes = b""
+    is_durable: bool = False
 
     @property
     def has_key(self) -> bool:

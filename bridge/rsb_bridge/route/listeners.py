@@ -49,6 +49,9 @@ OF_MANY = frozenset(
 """Types of topics that many nodes publish by design."""
 
 
+DURABLE = "durability transient or persistent, which ROS does not have"
+
+
 class DeafText(Wording):
     """Reasons why DDS does not match a subscription with a publisher."""
 
@@ -83,6 +86,8 @@ def mismatch(type_name: str, offered: Qos, subscription: Endpoint) -> Mismatch |
     """Return what keeps a subscription from hearing a publisher of a type and a QoS, or None if DDS matches them."""
     if subscription.type_name != type_name:
         return Mismatch(Cause.TYPE_CONFLICT, (type_name,), (subscription.type_name,))
+    if subscription.is_durable:
+        return Mismatch(Cause.QOS_INCOMPATIBLE, (offered.durability,), (DURABLE,))
     found = clashes(offered, subscription.qos)
     return Mismatch(Cause.QOS_INCOMPATIBLE, *zip(*found, strict=True)) if found else None
 
