@@ -16,16 +16,18 @@ from tests.support.bridge import heard, route
 from tests.support.domain import text
 from tests.support.waiting import eventually
 
+from rsb_bridge.model.faults import is_wrong
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.ros_interface import BARE_DDS
-from rsb_bridge.route.topic_verdict import NOT_MATCHED, PUBLISHED_NOTHING
+from rsb_bridge.route.listeners import DURABLE, DeafText, UnmatchedText
+from rsb_bridge.route.topic_verdict import PUBLISHED_NOTHING
 
 pytest.importorskip("cyclonedds", reason="cyclonedds is not installed: it has wheels for Python 3.11 to 3.13")
 
 from cyclonedds.core import Policy
-from tests.support.cyclone import CycloneProgram
+from tests.support.cyclone import KEYED, XCDR2, CycloneProgram
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -178,34 +180,55 @@ def test_program_is_named_as_no_node(bridge: Bridge, robot: Domain) -> None:
         eventually(lambda: route(client, "/silent").reason == expected)
 
 
-@pytest.mark.parametrize("policy", [Policy.Ownership.Exclusive, Policy.Partition(["cell"])], ids=["owned", "parted"])
-def test_writer_that_does_not_match_is_named(bridge: Bridge, robot: Domain, pc: Domain, policy: Any) -> None:
+APART = {
+    "ownership": ([Policy.Ownership.Exclusive], UnmatchedText.REFUSED),
+    "representation": ([XCDR2], UnmatchedText.REFUSED),
+    "partition": ([Policy.Partition(["cell"])], UnmatchedText.OTHER),
+    "key": ([KEYED], UnmatchedText.KEY),
+}
+
+
+@pytest.mark.parametrize("policy", APART)
+def test_writer_that_does_not_match_is_named(bridge: Bridge, robot: Domain, pc: Domain, policy: str) -> None:
+    policies, why = APART[policy]
     with closing(CycloneProgram(robot.id)) as near:
-        writer = near.writer("/apart", USUAL, policy)
+        writer = near.writer("/apart", USUAL, *policies)
         server, client = bridge.both(Topic("/apart", "transmit"))
-        eventually(lambda: route(client, "/apart").reason == f"{BARE_DDS} {NOT_MATCHED[0]}")
-        eventually(lambda: NOT_MATCHED[0] in route(server, "/apart").reason)
+        expected = f"{BARE_DDS} does not match the bridge: {why()}"
+        eventually(lambda: route(client, "/apart").reason == expected)
+        eventually(lambda: expected in route(server, "/apart").reason)
+        for side in server, client:
+            found = route(side, "/apart")
+            assert (found.state, found.cause, is_wrong(found)) == ("unheard", Cause.UNMATCHED, True)
         writer.publish("a")
-        crossed(near.writer("/apart"), _StockReader(pc.listener("/apart")), ["b"])
-        eventually(lambda: route(client, "/apart").state == "ok")
+        if policy != "key":  # one program has one type on a topic
+            crossed(near.writer("/apart"), _StockReader(pc.listener("/apart")), ["b"])
+            eventually(lambda: route(client, "/apart").state == "ok")
 
 
-def test_reader_that_does_not_match_is_named(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+@pytest.mark.parametrize("policy", APART)
+def test_reader_that_does_not_match_is_named(bridge: Bridge, robot: Domain, pc: Domain, policy: str) -> None:
+    policies, why = APART[policy]
     with closing(CycloneProgram(pc.id)) as far:
-        reader = far.reader("/apart", USUAL, Policy.Ownership.Exclusive)
+        reader = far.reader("/apart", USUAL, *policies)
         writer = _StockWriter(robot.publisher("/apart"))
         server, client = bridge.both(Topic("/apart", "transmit"))
+        expected = f"{BARE_DDS} does not match the bridge: {why()}"
 
         def is_named() -> bool:
             writer.publish("a")
-            found = route(server, "/apart")
-            return found.state == "unheard" and found.reason == f"{BARE_DDS} {NOT_MATCHED[0]}"
+            return route(server, "/apart").reason == expected
 
         eventually(is_named)
-        eventually(lambda: NOT_MATCHED[0] in route(client, "/apart").reason)
+        eventually(lambda: expected in route(client, "/apart").reason)
+        for side in server, client:
+            found = route(side, "/apart")
+            assert (found.state, found.cause, is_wrong(found)) == ("unheard", Cause.UNMATCHED, True)
+        assert [each.reason for each in route(server, "/apart").audience.deaf] == [DeafText.UNMATCHED(why=why())]
         assert not reader.texts
-        crossed(writer, far.reader("/apart"), ["b"])
-        eventually(lambda: route(server, "/apart").state == "ok")
+        if policy != "key":
+            crossed(writer, far.reader("/apart"), ["b"])
+            eventually(lambda: route(server, "/apart").state == "ok")
 
 
 def test_program_that_is_killed_returns(bridge: Bridge, robot: Domain, pc: Domain) -> None:
@@ -219,3 +242,37 @@ def test_program_that_is_killed_returns(bridge: Bridge, robot: Domain, pc: Domai
             program.kill()
         eventually(lambda: route(client, "/numbers").cause in {Cause.NO_PUBLISHER, Cause.PUBLISHER_GONE})
         eventually(lambda: route(server, "/numbers").cause in {Cause.NO_PUBLISHER, Cause.PUBLISHER_GONE})
+
+
+MORE_DURABLE = {"transient": Policy.Durability.Transient, "persistent": Policy.Durability.Persistent}
+
+
+@pytest.mark.parametrize("kind", MORE_DURABLE)
+def test_more_durable_writer_is_latched_from_now_on(bridge: Bridge, robot: Domain, pc: Domain, kind: str) -> None:
+    """Cyclone DDS gives a subscription of ROS no history of it."""
+    with closing(CycloneProgram(robot.id)) as near:
+        writer = near.writer("/durable", USUAL, MORE_DURABLE[kind])
+        writer.publish("before")
+        server, client = bridge.both(Topic("/durable", "transmit"))
+        early = _StockReader(pc.listener("/durable", qos=_profile(LATCHED)))
+        eventually(lambda: writer.matched)
+        for words in "a", "b":
+            writer.publish(words)
+        eventually(lambda: early.texts[-2:] == ["a", "b"])
+        late = _StockReader(pc.listener("/durable", qos=_profile(LATCHED)))
+        eventually(lambda: late.texts[-2:] == ["a", "b"])
+        writer.publish("c")
+        eventually(lambda: late.texts[-3:] == early.texts[-3:] == ["a", "b", "c"])
+        eventually(lambda: (route(client, "/durable").state, route(server, "/durable").state) == ("ok", "ok"))
+
+
+@pytest.mark.parametrize("kind", MORE_DURABLE)
+def test_reader_that_asks_for_more_durability_is_named(bridge: Bridge, robot: Domain, pc: Domain, kind: str) -> None:
+    with closing(CycloneProgram(pc.id)) as far:
+        far.reader("/durable", USUAL, MORE_DURABLE[kind])
+        robot.publisher("/durable", qos=_profile(LATCHED))
+        server, client = bridge.both(Topic("/durable", "transmit"))
+        eventually(lambda: route(server, "/durable").cause == route(client, "/durable").cause == Cause.QOS_INCOMPATIBLE)
+        found = route(server, "/durable")
+        assert (found.state, is_wrong(found)) == ("unheard", True)
+        assert f"asks for {DURABLE}" in found.reason

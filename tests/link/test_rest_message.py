@@ -100,6 +100,7 @@ class Robot(NoRos):
 
 class Voice:
     acknowledged = True
+    refuses = False
 
     def __init__(self, robot: Robot, loop: VirtualLoop, number: int) -> None:
         self.gid = bytes([number]) * 16

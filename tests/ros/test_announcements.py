@@ -42,6 +42,7 @@ class Publisher:
     gid = b"announcer"
     subscriber_count = 0
     acknowledged = True
+    refuses = False
 
     def __init__(self, loop: VirtualLoop) -> None:
         self.published: list[tuple[float, bytes]] = []

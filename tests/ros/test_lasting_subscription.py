@@ -15,6 +15,7 @@ from rsb_bridge.ros.ros_interface import Liveliness, OnFailure, RosError
 class _Opened:
     liveliness = Liveliness(alive=1)
     matched = 1
+    refuses = False
 
     def __init__(self, on_failure: OnFailure) -> None:
         self.fail = on_failure

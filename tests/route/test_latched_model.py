@@ -179,6 +179,7 @@ class FarPublisher:
 
     gid = b""
     subscriber_count = 1
+    refuses = False
 
     def __init__(self, dds: FarDds, depth: int) -> None:
         self._dds = dds
@@ -226,6 +227,7 @@ class Route:
     def __init__(self, near: NearDds, far: FarDds, context: Context) -> None:
         self.meter = RateMeter(0.0)
         self.near, self.far, self.context = near, far, context
+        self.mute: set[bytes] = set()
         self.budget = Budget(1 << 30)
         self.offered = self.sent = self.held = 0
         self.topic = self.make_topic()
@@ -289,7 +291,7 @@ class Route:
 
     def tell(self) -> None:
         assert self.subscription.histories is not None
-        self.topic.present(self.subscription.histories.present(set(self.near.writers)))
+        self.topic.present(self.subscription.histories.present(set(self.near.writers), self.mute))
 
     def second(self) -> None:
         assert self.subscription.histories is not None
@@ -487,6 +489,17 @@ def test_newest_is_heard_last_after_kill() -> None:
         assert world.far.heard == [b"writer 0 1", b"writer 1 1", b"writer 2 1", b"writer 2 1"]
         world.wait(20.0)
         assert len(world.far.heard) == 4
+
+
+def test_publisher_without_history_is_not_taken_for_killed() -> None:
+    """A transient one of Cyclone DDS, which gives a subscription of ROS what it publishes from then on."""
+    with virtual_loop() as loop:
+        world = World(loop, 1)
+        world.route.mute.add(publisher_id(b"writer 1"))
+        KilledBeside(world)
+        world.wait(20.0)
+        assert world.far.late_joiner() == [b"writer 0 1", b"writer 1 1", b"writer 2 1"]
+        assert len(world.far.heard) == 3
 
 
 def test_cut_after_kill_sends_nothing_again() -> None:

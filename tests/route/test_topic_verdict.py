@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.route.topic_verdict_helpers import (
     BEST_EFFORT,
+    IMAGE,
     INT,
     LATCHED,
     NOW,
@@ -40,10 +41,10 @@ from rsb_bridge.route.combined_verdict import CombinedVerdict, lasting, record_o
 from rsb_bridge.route.crossing import Crossing
 from rsb_bridge.route.lateness import QUEUE, WAY, Late, late_verdict
 from rsb_bridge.route.lease import Standstill
-from rsb_bridge.route.listeners import audience
+from rsb_bridge.route.listeners import UnmatchedText, audience
 from rsb_bridge.route.resolving import Elsewhere
 from rsb_bridge.route.sending import USE_TCP
-from rsb_bridge.route.topic_verdict import PUBLISHED_NOTHING, STOPPED_PUBLISHING
+from rsb_bridge.route.topic_verdict import MAY_BE_LOST, PUBLISHED_NOTHING, STOPPED_PUBLISHING
 from rsb_bridge.telemetry.watches import Loss
 from rsb_bridge.wire.records import DeafRecord, ReceivedReport, VerdictRecord
 from rsb_console.notation import formats
@@ -62,6 +63,10 @@ APART = Reason("max_rate 5", EndCode.LISTED_DIFFERENTLY)
 DATA_OUT, PIPE = Reason(OUT, EndCode.TIMED_OUT), Reason("Broken pipe", EndCode.BROKE)
 DENIED, STUCK = Reason("denied"), Verdict(State.DOWN, Cause.NO_PATH, "stuck")
 MAPPER, ODD = endpoint("/map", LATCHED), endpoint("/odd", type_name=INT)
+KEYED = TALKER._replace(gid=bytes(15) + b"\x07")
+CAMERA: dict[str, Any] = {
+    "endpoints": [endpoint("/camera", BEST_EFFORT, IMAGE)], "type_name": IMAGE, "qos": BEST_EFFORT,
+}  # fmt: skip
 BOTH, OFFERED = [TALKER, endpoint("/b")], ["/a ", "best_effort", "reliable"]
 NEVER: dict[str, Any] = {"came": False}
 UNANSWERED: dict[str, Any] = {"crossing": Crossing.NOT_OPEN, "accepted": None}
@@ -121,6 +126,14 @@ def test_a_route_that_flows_is_fine() -> None:
         (SENDER, GONE | THERE | unresolved(Cause.NO_PUBLISHER), State.WAITING, Cause.PUBLISHED_THERE, ["as told"]),
         (SENDER, STOPPED | GONE | ALIKE, State.STOPPED, Cause.PUBLISHER_GONE, ["any more", "/char?"]),
         (SENDER, NEVER, State.WAITING, Cause.PUBLISHER_SILENT, [f"/talker {PUBLISHED_NOTHING[0]}"]),
+        (SENDER, NEVER | CAMERA, State.WAITING, Cause.PUBLISHER_UNHEARD, [MAY_BE_LOST[0], "large-messages.xml"]),
+        (SENDER, NEVER | LOOSE | {"qos": BEST_EFFORT}, State.WAITING, Cause.PUBLISHER_SILENT, []),
+        (SENDER, NEVER | LOOSE | {"qos": BEST_EFFORT, "sizes": [200_000]}, State.WAITING, Cause.PUBLISHER_UNHEARD, []),
+        (SENDER, NEVER | {"unmatched": True}, State.UNHEARD, Cause.UNMATCHED, [UnmatchedText.OTHER()]),
+        (SENDER, STALE | {"unmatched": True, "refused": True}, State.STALE, Cause.UNMATCHED, [UnmatchedText.REFUSED()]),
+        (RECEIVER, {"unmatched": True}, State.UNHEARD, Cause.UNMATCHED, ["/rviz does not", UnmatchedText.OTHER()]),
+        (RECEIVER, NEVER | {"unmatched": True, "endpoints": [KEYED]}, State.UNHEARD, Cause.UNMATCHED,
+         [UnmatchedText.KEY()]),
         (SENDER, NEVER | {"endpoints": [MAPPER]}, State.WAITING, Cause.PUBLISHER_SILENT, ["/map latches", "volatile"]),
         (RECEIVER, NEVER, State.WAITING, Cause.NO_MESSAGE, []),
         (SENDER, NEVER | UNANSWERED, State.WAITING, Cause.NO_MESSAGE, [ACCEPTED]),

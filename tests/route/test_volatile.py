@@ -26,6 +26,7 @@ class Pool:
 
     gid = b"pool"
     subscriber_count = 1
+    refuses = False
     closed = False
 
     def __init__(self, depth: int) -> None:

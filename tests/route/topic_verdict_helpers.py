@@ -18,6 +18,7 @@ NOW = 2e6
 """s."""
 
 
+IMAGE = "sensor_msgs/msg/Image"
 STRING, INT, TF = "std_msgs/msg/String", "std_msgs/msg/Int32", "tf2_msgs/msg/TFMessage"
 
 

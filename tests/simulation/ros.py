@@ -179,6 +179,7 @@ class Writer:
         self.matched: dict[Reader, None] = {}
         latched = qos.durability == "transient_local"
         depth = _KEEP_ALL if qos.history == "keep_all" else qos.depth
+        self.refuses = False
         self.kept: deque[RawMessage] = deque(maxlen=depth if latched else 0)
         self.published = 0
         self.closed = False
@@ -249,6 +250,7 @@ class Reader(Taker[RawMessage]):
         latched = qos.durability == "transient_local"
         self.numbers.begin(None if latched else frozenset(each.gid for each in domain.writers(topic)))
         self.matched = 1
+        self.refuses = False
         self.liveliness = Liveliness(alive=1)
         self.taken = 0
         self.on_take: Callable[[list[RawMessage]], None] | None = None

@@ -33,7 +33,11 @@ os.environ["CYCLONEDDS_URI"] = (
 _MOST = 1000
 _USUAL = model.Qos()
 
-STRING = make_idl_struct("String", "std_msgs::msg::dds_::String_", {"data": str})
+_TYPE = "std_msgs::msg::dds_::String_"
+STRING = make_idl_struct("String", _TYPE, {"data": str})
+KEYED = make_idl_struct("String", _TYPE, {"data": str}, field_annotations={"data": {"key": True}})
+"""Among the policies of an endpoint: its type is a String whose text is a key."""
+XCDR2 = Policy.DataRepresentation(use_xcdrv2_representation=True)
 
 
 class CycloneProgram:
@@ -47,18 +51,19 @@ class CycloneProgram:
         """Write to a topic.
 
         Args:
-            more: policies of Cyclone that ROS does not have.
+            more: policies of Cyclone that ROS does not have, or `KEYED`.
         """
-        given = Qos(*_policies(qos), *more)
-        group = Publisher(self._participant, qos=Qos(*(each for each in more if isinstance(each, Policy.Partition))))
-        writer = CycloneWriter(DataWriter(group, Topic(self._participant, f"rt{topic}", STRING), given))
+        given, type_, partition = _given(qos, more)
+        group = Publisher(self._participant, qos=partition)
+        writer = CycloneWriter(DataWriter(group, Topic(self._participant, f"rt{topic}", type_), given))
         self._endpoints.append(writer)
         return writer
 
     def reader(self, topic: str, qos: model.Qos = _USUAL, *more: Any) -> CycloneReader:
         """Read from a topic."""
-        given, group = Qos(*_policies(qos), *more), Subscriber(self._participant)
-        reader = CycloneReader(DataReader(group, Topic(self._participant, f"rt{topic}", STRING), given))
+        given, type_, partition = _given(qos, more)
+        group = Subscriber(self._participant, qos=partition)
+        reader = CycloneReader(DataReader(group, Topic(self._participant, f"rt{topic}", type_), given))
         self._endpoints.append(reader)
         return reader
 
@@ -79,7 +84,7 @@ class CycloneWriter:
         return len(self.entity.get_matched_subscriptions())
 
     def publish(self, text: str) -> None:
-        self.entity.write(STRING(data=text))
+        self.entity.write(self.entity.data_type(data=text))
 
 
 class CycloneReader:
@@ -93,6 +98,13 @@ class CycloneReader:
         # The end of a writer is a sample, too, without data.
         self._texts += [each.data for each in self.entity.take(_MOST) if each.sample_info.valid_data]
         return self._texts
+
+
+def _given(qos: model.Qos, more: tuple[Any, ...]) -> tuple[Qos, Any, Qos]:
+    """Return the QoS of an endpoint, its type, and the QoS of the group that it is in."""
+    policies = {each.__scope__: each for each in (*_policies(qos), *(each for each in more if each is not KEYED))}
+    partition = Qos(*(each for each in more if isinstance(each, Policy.Partition)))
+    return Qos(*policies.values()), KEYED if KEYED in more else STRING, partition
 
 
 def _policies(qos: model.Qos) -> Iterator[Any]:

@@ -53,6 +53,8 @@ _OF_TOPIC: dict[str, Any] = {
     "elsewhere": None,
     "subscribe_failed": "",
     "unmatched": False,
+    "refused": False,
+    "sizes": (),
     "sent": 0,
     "undelivered": "",
     "audience": NOBODY,
@@ -113,7 +115,9 @@ def topic_half(now: float = 0.0, **facts: Any) -> Any:
     half.offered, half.report_now = known["qos"], None
     half.age = SimpleNamespace(late=lambda: known["expired"])
     half.judged = SimpleNamespace(shown_cause=known["shown_cause"])
-    half.meter = SimpleNamespace(rate=known["rate"], regular=known["regular"])
+    half.meter = SimpleNamespace(
+        rate=known["rate"], regular=known["regular"], count=len(known["sizes"]), bytes=sum(known["sizes"])
+    )
     half.health = SimpleNamespace(
         expected_rate=known["expected_rate"],
         stop=SimpleNamespace(since=known["stopped_since"], new=known["new"]),
@@ -131,6 +135,7 @@ def topic_half(now: float = 0.0, **facts: Any) -> Any:
     half.was_full_since = lambda since: known["loss_of_full_link"]
     half.why, half.datagrams = _always(known["why_unresolved"]), _always(known["datagrams"])
     half.failure, half.is_unmatched = known["subscribe_failed"], known["unmatched"]
+    half.refuses = half.refused = known["refused"]
     half.ends = _always((known["publisher_nodes"], None, None))
     half.proposal = SimpleNamespace(compression=known["compression"])
     half.resolver = half.subscription = half

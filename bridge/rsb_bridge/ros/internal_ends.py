@@ -37,6 +37,7 @@ class BytesSource:
         self._number = 0
         self.liveliness = Liveliness(alive=1)
         self.matched = 1
+        self.refuses = False
         self.closed = False
 
     def send(self, content: bytes, stamp: int) -> None:
@@ -63,6 +64,7 @@ class BytesDrain:
     """
 
     subscriber_count = 1
+    refuses = False
     acknowledged = True
 
     def __init__(self, closed: Callable[[], None]) -> None:

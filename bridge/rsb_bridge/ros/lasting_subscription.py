@@ -58,6 +58,11 @@ class LastingSubscription:
         return self._subscription.matched if self._subscription is not None else 0
 
     @property
+    def refuses(self) -> bool:
+        """Whether DDS has refused a publisher for a policy that the graph does not show."""
+        return self._subscription is not None and self._subscription.refuses
+
+    @property
     def liveliness(self) -> Liveliness:
         """The liveliness of its publishers; only asked if the QoS has a lease."""
         return self._subscription.liveliness if self._subscription is not None else Liveliness()

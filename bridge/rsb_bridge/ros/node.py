@@ -567,6 +567,10 @@ class _Subscription(Drain[RawMessage]):
         return self._reader.matched
 
     @property
+    def refuses(self) -> bool:
+        return self._reader.refuses
+
+    @property
     def liveliness(self) -> Liveliness:
         alive, unjudged = self._reader.liveliness
         return Liveliness(max(0, alive - self._node.own_asserted(self.key, self.qos)), unjudged)
@@ -590,6 +594,10 @@ class _Publisher:
         own = self._node.own_subscriptions(self.topic, self.qos)
         # The two are counted one after the other: a subscription of ours may have come in between.
         return max(0, self.writer.matched - own)
+
+    @property
+    def refuses(self) -> bool:
+        return self.writer.refuses
 
     @property
     def acknowledged(self) -> bool:

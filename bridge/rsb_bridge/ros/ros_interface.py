@@ -63,6 +63,11 @@ BARE_DDS: Final = "a DDS program that is no ROS node"
 """The node's name of an endpoint that no node has."""
 
 
+_KIND_AT = 15
+_WITH_KEY = frozenset({b"\x02", b"\x07"})
+"""Of a user's writer and reader (RTPS 2.5, 9.3.1.2)."""
+
+
 class TopicSpec(NamedTuple):
     """A topic to subscribe to or to publish.
 
@@ -104,6 +109,7 @@ class Endpoint(NamedTuple):
         type_hash: ``RIHS01_...``, or empty if unknown.
         qos: its policies, clamped (`rsb_bridge.model.qos.clamp_qos`); the depth is unknown to others, and 0 here.
         gid: its id in the middleware, the same for everybody in the domain.
+        is_durable: whether its durability is one of DDS's that ROS does not have: transient or persistent.
     """
 
     node: str
@@ -111,6 +117,15 @@ class Endpoint(NamedTuple):
     type_hash: str
     qos: Qos
     gid: bytes = b""
+    is_durable: bool = False
+
+    @property
+    def has_key(self) -> bool:
+        """Whether its type has a key, by the kind in a GUID of DDS. Neither the type's hash nor its description tells.
+
+        Only where DDS does not match it: other middlewares' ids have no kind.
+        """
+        return self.gid[_KIND_AT : _KIND_AT + 1] in _WITH_KEY
 
 
 class LostPort(NamedTuple):
@@ -146,6 +161,10 @@ class Subscription(Protocol):
         """How many publishers DDS has matched with it, our own node's too."""
 
     @property
+    def refuses(self) -> bool:
+        """Whether DDS has refused a publisher for a policy that the graph does not show."""
+
+    @property
     def liveliness(self) -> Liveliness:
         """The liveliness of the publishers that match. Only asked if the QoS has a lease."""
 
@@ -172,6 +191,10 @@ class Publisher(Protocol):
     @property
     def subscriber_count(self) -> int:
         """How many subscriptions of other nodes match it now."""
+
+    @property
+    def refuses(self) -> bool:
+        """Whether DDS has refused a subscription for a policy that the graph does not show."""
 
     @property
     def acknowledged(self) -> bool:

@@ -26,7 +26,7 @@ from rsb_bridge.ros.native.librcl import (
     take_message,
     wait_for_all_acked,
 )
-from rsb_bridge.ros.native.rclpy_extension import assert_liveliness, reason_of
+from rsb_bridge.ros.native.rclpy_extension import assert_liveliness, reason_of, refuses
 from rsb_bridge.ros.publication_numbers import PublicationNumbers
 from rsb_bridge.ros.ros_interface import Liveliness, RawMessage, RosError, RosProblem
 
@@ -153,6 +153,11 @@ class Reader:
         return count
 
     @property
+    def refuses(self) -> bool:
+        """Whether DDS has refused a publisher for a policy that the graph does not show."""
+        return refuses("subscription", self.handle.rclpy)
+
+    @property
     def liveliness(self) -> Liveliness:
         """The liveliness of the matching publishers, our own node's too; only asked if the QoS has a lease."""
         told = None if self._liveliness is None else self._liveliness.ask()
@@ -226,6 +231,11 @@ class Writer:
         except RuntimeError:
             return 0
         return count
+
+    @property
+    def refuses(self) -> bool:
+        """Whether DDS has refused a subscription for a policy that the graph does not show."""
+        return refuses("publisher", self._handle.rclpy)
 
     @property
     def acknowledged(self) -> bool:

@@ -55,8 +55,9 @@ _MENDABLE: dict[str, Level] = {
     Cause.SIMILAR_NAME: Level.WARNING,
     Cause.PUBLISHED_THERE: Level.WARNING,
     Cause.TYPE_UNKNOWN: Level.WARNING,
+    Cause.PUBLISHER_UNHEARD: Level.WARNING,
 }
-"""What a route may wait for that a person can mend: a name or a type that is typed wrong, a type to install."""
+"""What a route may wait for that a person can mend: a name or a type that is typed wrong, a type to install, DDS."""
 _LOGGED_ELSEWHERE = frozenset(
     {
         Cause.LINK_DOWN, Cause.REFUSED, Cause.LISTED_DIFFERENTLY, Cause.LOOP, Cause.PAUSED, Cause.DISARMED,

@@ -149,12 +149,13 @@ class Histories:
         self._other_ids = other_ids
         self._bounds_before = {} if depth else dict(bounds)
         self._publishers: dict[bytes, _Publisher] = {}
+        self._mute: Collection[bytes] = ()
         self._silent = SilentPublishers(loop, probe, self._withdraw, again)
         self._resends: asyncio.TimerHandle | None = None
         self._probe: _Probe | None = None
         self._timer: asyncio.TimerHandle | None = None
 
-    def present(self, gids: Collection[bytes]) -> dict[bytes, int]:
+    def present(self, gids: Collection[bytes], mute: Collection[bytes] = ()) -> dict[bytes, int]:
         """Forget publishers that have ended, and return the depth of each other one that is not silent, or 0.
 
         A publisher that the graph has lost just now is still present. The peer drops the histories of the others, so
@@ -162,7 +163,9 @@ class Histories:
 
         Args:
             gids: of the publishers that the graph has.
+            mute: those of them that give a new subscription no history, alive or not (`Endpoint.is_durable`).
         """
+        self._mute = mute
         left = {*gids, *self._forget_gone(gids)} - self._silent.silent
         depths = {gid: each.at_most for gid, each in self._publishers.items() if each.exact}
         return {self._id(gid): depths.get(gid, 0) for gid in left}
@@ -300,7 +303,7 @@ class Histories:
         """Ask whether the other publishers answer: a newcomer may replace a killed one."""
         if not newcomer.number or self._lifespan:  # the peer's publishers forget what has expired, too
             return
-        if others := self._publishers.keys() - {newcomer.gid}:
+        if others := self._publishers.keys() - {newcomer.gid, *self._mute}:
             self._silent.ask(newcomer.gid, others)
 
     def _withdraw(self) -> None:

@@ -156,6 +156,11 @@ class LatchedTopic:
         """Subscriptions of other nodes that match now."""
         return max((output.publisher.subscriber_count for output in islice(self._outputs(), _ASKED)), default=0)
 
+    @property
+    def refuses(self) -> bool:
+        """Whether DDS has refused a subscription for a policy that the graph does not show."""
+        return any(output.publisher.refuses for output in islice(self._outputs(), _ASKED))
+
     def newest(self) -> dict[bytes, int]:
         """Return the number of the newest message of each publisher of the sending side."""
         return {publisher: history.newest for publisher, history in self._histories.items() if history.newest}

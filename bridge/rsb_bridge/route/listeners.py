@@ -50,12 +50,23 @@ OF_MANY = frozenset(
 """Types of topics that many nodes publish by design."""
 
 
+DURABLE = "durability transient or persistent, which ROS does not have"
+
+
 class DeafText(Wording):
     """Reasons why DDS does not match a subscription with a publisher."""
 
     TYPE = "its type is {asked}, and that of the messages {offered}: make them equal"
     QOS = "it asks for {asked}, offered is {offered}: change its QoS"
-    UNMATCHED = "DDS does not match it: check its other policies, partition and security"
+    UNMATCHED = "DDS does not match it: {why}"
+
+
+class UnmatchedText(Wording):
+    """Reasons why DDS does not match an endpoint whose type's name and QoS fit, with the remedy."""
+
+    KEY = "its type has a key (@key) and the bridge's has none: use the type of ROS"
+    REFUSED = "its data representation or its ownership differs: set XCDR1 and shared ownership"
+    OTHER = "its partition, security or type definition differs: set them as in ROS nodes"
 
 
 class Mismatch(NamedTuple):
@@ -76,15 +87,34 @@ def mismatch(type_name: str, offered: Qos, subscription: Endpoint) -> Mismatch |
     """Return what keeps a subscription from hearing a publisher of a type and a QoS, or None if DDS matches them."""
     if subscription.type_name != type_name:
         return Mismatch(Cause.TYPE_CONFLICT, (type_name,), (subscription.type_name,))
+    if subscription.is_durable:
+        return Mismatch(Cause.QOS_INCOMPATIBLE, (offered.durability,), (DURABLE,))
     found = clashes(offered, subscription.qos)
     return Mismatch(Cause.QOS_INCOMPATIBLE, *zip(*found, strict=True)) if found else None
 
 
-def audience(type_name: str, offered: Qos, subscriptions: Iterable[Endpoint], count: int) -> Audience:
+def why_unmatched(endpoints: Iterable[Endpoint], *, refused: bool) -> str:
+    """Return what is known of why DDS does not match endpoints with the bridge's, and the remedy.
+
+    ROS shows neither partition, ownership, representation nor key. DDS refuses another ownership or representation as
+    a policy, and tells nothing of another partition, key or type definition.
+
+    Args:
+        refused: whether DDS has refused one for a policy that ROS does not know.
+    """
+    if all(each.has_key for each in endpoints):
+        return UnmatchedText.KEY()
+    return UnmatchedText.REFUSED() if refused else UnmatchedText.OTHER()
+
+
+def audience(
+    type_name: str, offered: Qos, subscriptions: Iterable[Endpoint], count: int, *, refused: bool = False
+) -> Audience:
     """Return who hears a publisher of a type and a QoS.
 
     Args:
         count: subscriptions that DDS has matched with it. DDS does not say which.
+        refused: as of `why_unmatched`.
     """
     hearing: list[Endpoint] = []
     deaf: set[tuple[str, str, str]] = set()
@@ -95,7 +125,7 @@ def audience(type_name: str, offered: Qos, subscriptions: Iterable[Endpoint], co
             reason = text(asked=", ".join(why.asked), offered=", ".join(why.offered))
             deaf.add((node, why.cause.value, sanitize_text(reason, _REASON_LENGTH)))
         elif not count:
-            deaf.add((node, Cause.NONE.value, DeafText.UNMATCHED()))
+            deaf.add((node, Cause.NONE.value, DeafText.UNMATCHED(why=why_unmatched([each], refused=refused))))
         else:
             hearing.append(each)
     return Audience(count, node_names(hearing), tuple(Deaf(*each) for each in sorted(deaf)[:NODES]))
@@ -138,6 +168,7 @@ class Listeners:
         further: if its messages may move a robot, the publishers of the topic here besides this link's.
         published: who publishes it here, while the sending side has no publisher: its direction may be wrong.
             Nobody for what several nodes publish by design.
+        refused: whether DDS refuses subscriptions for a policy that ROS does not know.
         type_before: that the publishers had before the present one, or empty.
         hint: the type and its hash that they have, each empty if unknown: a sender without publishers takes it.
     """
@@ -151,6 +182,7 @@ class Listeners:
         self.further: tuple[Endpoint, ...] = ()
         self.hint = ("", "")
         self.type_before = ""
+        self.refused = False
         self.published = PublishedAs()
         self._unmatched_since: float | None = None  # s, since when DDS lists subscriptions and matches none
         self._asked_at = float("-inf")
@@ -223,7 +255,8 @@ class Listeners:
         self._look_for_drivers()
         if self.offered is None:
             return
-        flow.audience = audience(flow.carried.type_name, self.offered, endpoints, matched)
+        self.refused = self.unmatched and self._outputs.refuses
+        flow.audience = audience(flow.carried.type_name, self.offered, endpoints, matched, refused=self.refused)
         # Only then: it searches the graph, and only a clash needs the result.
         clash = any(each.cause == Cause.QOS_INCOMPATIBLE for each in flow.audience.deaf)
         self.others = tuple(route.ends.publishers(route.remote_topic)) if clash else ()

@@ -229,7 +229,9 @@ class Sender:
             return
         present = {}
         if (histories := self.subscription.histories) is not None:
-            depths = histories.present({endpoint.gid for endpoint in self.carried.endpoints})
+            endpoints = self.carried.endpoints
+            mute = {each.gid for each in endpoints if each.is_durable}
+            depths = histories.present({each.gid for each in endpoints}, mute)
             present = dict(islice(depths.items(), MOST_PUBLISHERS))
         told = Publishers(route=self.route.id, present=present, alive=self.subscription.alive)
         if told != self._told:

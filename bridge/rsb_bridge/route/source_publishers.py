@@ -111,6 +111,11 @@ class VolatileTopic:
         """Subscriptions of other nodes that match now."""
         return self._publisher.subscriber_count
 
+    @property
+    def refuses(self) -> bool:
+        """Whether DDS has refused a subscription for a policy that the graph does not show."""
+        return self._publisher.refuses
+
     def publish(self, content: bytes, look: Look | None = None) -> Refused | None:
         """Publish a message, or return the reason for which it is not wanted any more.
 
@@ -261,6 +266,10 @@ class _Announced:
     @property
     def subscriber_count(self) -> int:
         return self._publisher.subscriber_count
+
+    @property
+    def refuses(self) -> bool:
+        return self._publisher.refuses
 
     @property
     def acknowledged(self) -> bool:
@@ -423,6 +432,11 @@ class SourcePublishers:
     @property
     def subscriber_count(self) -> int:
         return max((sink.subscriber_count for sink in self.sinks), default=0)
+
+    @property
+    def refuses(self) -> bool:
+        """Whether DDS has refused a subscription for a policy that the graph does not show."""
+        return any(sink.refuses for sink in self.sinks)
 
     def close(self, first: int = 0) -> None:
         """Close the publishers from the number `first` on."""

@@ -193,6 +193,11 @@ class TopicSubscription:
         return self.receives and self._unmatched_ticks > _MATCHED_WITHIN
 
     @property
+    def refuses(self) -> bool:
+        """Whether DDS has refused a publisher for a policy that the graph does not show."""
+        return self.is_unmatched and self._subscription is not None and self._subscription.refuses
+
+    @property
     def awaits_match(self) -> bool:
         """Whether DDS had matched no publisher at the last tick."""
         return self._unmatched_ticks > 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.names import is_bridge
@@ -9,13 +10,14 @@ from rsb_bridge.model.qos import clashes
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.verdict import LASTING, Cause, Verdict
+from rsb_bridge.ros.memory import profile_variable
 from rsb_bridge.route.age import expired_verdict
 from rsb_bridge.route.blocking_rules import ACCEPTED, first_missing
 from rsb_bridge.route.combined_verdict import NAMED, named, who_publish
 from rsb_bridge.route.crossing import Crossing
 from rsb_bridge.route.lateness import late_verdict
 from rsb_bridge.route.ledger import LOSS_CAUSES, LOSSES
-from rsb_bridge.route.listeners import OF_MANY, mismatch, no_subscriber
+from rsb_bridge.route.listeners import OF_MANY, mismatch, no_subscriber, why_unmatched
 from rsb_bridge.route.resolving import no_publisher
 from rsb_bridge.route.sending import USE_TCP, remedy_for_size
 from rsb_bridge.telemetry.watches import FAST_ABOVE, LATELY
@@ -39,11 +41,28 @@ LEFT_OUT_LATCHED = (
     "latches its messages, but this topic is volatile: use qos: auto",
     "latch their messages, but this topic is volatile: use qos: auto",
 )
-NOT_MATCHED = (
-    "does not match the bridge: its partition, ownership or key differs",
-    "do not match the bridge: their partition, ownership or key differs",
+MAY_BE_LOST = (
+    "has published nothing yet, or DDS loses its messages",
+    "have published nothing yet, or DDS loses their messages",
 )
 """Verbs for one silent publisher, and for several."""
+_LARGE = frozenset(
+    {
+        "nav_msgs/msg/OccupancyGrid",
+        "sensor_msgs/msg/CompressedImage",
+        "sensor_msgs/msg/Image",
+        "sensor_msgs/msg/PointCloud",
+        "sensor_msgs/msg/PointCloud2",
+        "stereo_msgs/msg/DisparityImage",
+    }
+)
+_ARRAY = "MultiArray"
+"""Types whose messages are larger than `_FRAGMENT`, usually, and the end of the names of others."""
+_FRAGMENT = 64_000
+"""Bytes of a message, about, from which on Fast DDS sends it in fragments. A lost one is a lost message."""
+_REMEDY_FOR_LARGE = (
+    "if they are large, start both ends with {variable}=…/fastdds-large-messages.xml (docs/performance.md)"
+)
 
 
 def types_and_nodes(endpoints: Iterable[Endpoint]) -> str:
@@ -208,7 +227,7 @@ def _why_silent(half: SenderFacts) -> tuple[Cause, str]:
     """Explain the silence. DDS lists a publisher for up to 40 s after its death, so it may not run any more."""
     ever = half.came or half.came_before
     if half.carried.endpoints and half.subscription.is_unmatched:
-        return Cause.PUBLISHER_SILENT, _plural(half.carried.endpoints, *NOT_MATCHED)
+        return Cause.UNMATCHED, _unmatched(half.carried.endpoints, refused=half.subscription.refuses)
     if half.carried.endpoints:
         # A publisher that has just come has had no time for its first message.
         stopped = [each for each in half.carried.endpoints if each.gid not in half.health.stop.new] if ever else []
@@ -267,12 +286,30 @@ def _unsent(half: SenderFacts, crossing: Crossing) -> Verdict | None:
         )
     if not half.carried.endpoints:
         return Verdict(State.WAITING, _nobody(half), _no_publisher(half))
+    if half.subscription.is_unmatched:
+        text = _unmatched(half.carried.endpoints, refused=half.subscription.refuses)
+        return Verdict(State.UNHEARD, Cause.UNMATCHED, text)
     verbs = NOTHING_SINCE_OPENED if half.came_before else PUBLISHED_NOTHING
     if half.flow.qos and not half.flow.qos.latched and all(each.qos.latched for each in half.carried.endpoints):
         verbs = LEFT_OUT_LATCHED  # they may well have published, before the subscription
-    elif half.subscription.is_unmatched:
-        verbs = NOT_MATCHED
+    elif _is_large(half) and all(each.qos.reliability == "best_effort" for each in half.carried.endpoints):
+        remedy = _REMEDY_FOR_LARGE.format(variable=profile_variable(os.environ))
+        text = f"{_plural(half.carried.endpoints, *MAY_BE_LOST)}: {remedy}"
+        return Verdict(State.WAITING, Cause.PUBLISHER_UNHEARD, text)
     return Verdict(State.WAITING, Cause.PUBLISHER_SILENT, _plural(half.carried.endpoints, *verbs))
+
+
+def _is_large(half: SenderFacts) -> bool:
+    """Whether its messages are large, by those that have come, or else by their type."""
+    meter, type_name = half.route.meter, half.carried.type_name
+    if meter.count:
+        return meter.bytes > meter.count * _FRAGMENT
+    return type_name in _LARGE or type_name.endswith(_ARRAY)
+
+
+def _unmatched(endpoints: Collection[Endpoint], *, refused: bool, what: str = "publishers") -> str:
+    who = _plural(endpoints, "does", "do", what)
+    return f"{who} not match the bridge: {why_unmatched(endpoints, refused=refused)}"
 
 
 def _no_message(missing: str = "") -> Verdict:
@@ -328,10 +365,9 @@ def _subscribers(half: ReceiverFacts, crossing: Crossing) -> Verdict | None:
             "change the QoS of the subscription, or of the publishers and this topic"
         )
         return Verdict(State.UNHEARD, Cause.QOS_INCOMPATIBLE, text)
-    if half.listeners.unmatched and half.came:
-        return Verdict(
-            State.UNHEARD, Cause.NO_SUBSCRIBER, _plural(half.carried.endpoints, *NOT_MATCHED, "subscriptions")
-        )
+    if half.listeners.unmatched and half.carried.endpoints:
+        text = _unmatched(half.carried.endpoints, refused=half.listeners.refused, what="subscriptions")
+        return Verdict(State.UNHEARD, Cause.UNMATCHED, text)
     if not half.carried.endpoints and not half.flow.audience.count and half.came and crossing is not Crossing.RESTING:
         return Verdict(
             State.UNHEARD, Cause.NO_SUBSCRIBER, no_subscriber(half.route.local_topic, half.route.context.domain)

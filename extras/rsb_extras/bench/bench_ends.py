@@ -59,7 +59,7 @@ class BenchSource:
         self._thread: threading.Thread | None = None
         self._stops = False
         self.lost, self.liveliness = 0, Liveliness(alive=1)
-        self.matched = 1
+        self.matched, self.refuses = 1, False
         self.sent = 0
         self.rate = 0.0
 
@@ -120,6 +120,7 @@ class BenchDrain:
     """
 
     subscriber_count = 1
+    refuses = False
     acknowledged = True
 
     def __init__(

@@ -161,6 +161,7 @@ class _Reader:
 
     liveliness = Liveliness(alive=1)
     matched = 1
+    refuses = False
 
     def __init__(self, sink: Sink, among: list[_Reader]) -> None:
         self._sink: Sink | None = sink
@@ -180,6 +181,7 @@ class _Writer:
     """The bridge's publisher in the stand-in."""
 
     acknowledged = True
+    refuses = False
 
     def __init__(self, topic: str, received: dict[str, int]) -> None:
         self.gid = secrets.token_bytes(_GID_LENGTH)

@@ -16,13 +16,19 @@ from rsb_bridge.feature_api import Check, Finding, Grade, RosError, Wording
 from rsb_bridge.model.limits import DOMAIN, SAFE_DOMAIN, dds_ports
 from rsb_bridge.ros.discovery import RANGE, SERVERS, SUPER_CLIENT, Discovery, DiscoveryText, is_off
 from rsb_bridge.ros.distribution import check_middleware, check_shared_memory, described, distribution, rclpy_version
-from rsb_bridge.ros.memory import PROFILE_VARIABLES
+from rsb_bridge.ros.memory import PROFILE_VARIABLES, profile_variable
 from rsb_bridge.ros.security import Security
+from rsb_extras.doctor import large_messages
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
 _SELF_TEST = (sys.executable, "-P", "-m", "rsb_bridge.ros.self_test")
+_CONFIG = "fastdds-large-messages.xml"
+_LARGE_PROFILE = next(
+    (each for each in (Path(sys.prefix, "share/rsb_console/configs", _CONFIG),) if each.exists()),
+    Path("configs", _CONFIG),
+)
 _WITHIN = 20.0
 """s for the self-test: to import ROS takes 1 s, on a small computer several."""
 _RANGES = {
@@ -56,6 +62,10 @@ class RosText(Wording):
     )
     HIDDEN = "ROS_AUTOMATIC_DISCOVERY_RANGE is OFF: ROS finds no other node, so a bridge carries nothing"
     SERVER_REMEDY = "fast-discovery-server -i {place} -p {port}, on the machine {host}; or correct ROS_DISCOVERY_SERVER"
+    LARGE = "{arrived} of {sent} best-effort messages of {size:g} MB arrived in another process of this machine"
+    LARGE_LOST = "{found}: Fast DDS loses those above 64 kB"
+    LARGE_REMEDY = "export {variable}={file}  # for the bridge, and for all nodes with such messages"
+    NOT_DISCOVERED = "two processes of this machine did not discover each other"
     KEYS = "keystore {keystore}, enclave {enclave}"
     LOCALHOST_ONLY = (
         "ROS_LOCALHOST_ONLY=1 overrides ROS_AUTOMATIC_DISCOVERY_RANGE and ROS_STATIC_PEERS, and is obsolete"
@@ -66,6 +76,7 @@ class RosText(Wording):
 def checks(
     environ: Mapping[str, str],
     self_test: Sequence[str] = _SELF_TEST,
+    large_test: Sequence[str] = large_messages.COMMAND,
     own_domain: int | None = None,
     root: Path = Path("/"),
 ) -> tuple[Check, ...]:
@@ -73,6 +84,7 @@ def checks(
 
     Args:
         self_test: command that prints what `rsb_bridge.ros.self_test.main` prints.
+        large_test: command that prints what `rsb_extras.doctor.large_messages.main` prints.
         own_domain: the session's `domain_id`, which counts more than ``$ROS_DOMAIN_ID``, or None.
         root: in place of ``/`` for ``/opt/ros``.
     """
@@ -80,6 +92,7 @@ def checks(
         Check("ros", "ROS", partial(_ros, environ, self_test, root)),
         Check("ros_domain", "ROS domain", partial(_environment, environ, own_domain)),
         Check("ros_discovery", "ROS discovery", partial(_discovery, environ)),
+        Check("large_messages", "large messages", partial(_large_messages, environ, large_test)),
         Check("ros_security", "ROS security", partial(_security, environ)),
     )
 
@@ -209,6 +222,26 @@ def _discovery(environ: Mapping[str, str]) -> Iterator[Finding]:
             yield finding(grade=bad, text=problem, remedy=remedy)
         else:
             yield finding(grade=Grade.OK, text=DiscoveryText.ANSWERS(server=server))
+
+
+def _large_messages(environ: Mapping[str, str], large_test: Sequence[str]) -> Iterator[Finding]:
+    if importlib.util.find_spec("rclpy") is None:
+        return
+    surroundings = large_messages.surroundings(environ)
+    ran = subprocess.run(large_test, capture_output=True, text=True, timeout=2 * _WITHIN, check=False, env=surroundings)  # noqa: S603 -- own program
+    if ran.returncode or not ran.stdout:
+        return  # the check of ROS says why
+    # The last line only: Fast DDS writes its faults to standard output, too.
+    facts = json.loads(ran.stdout.splitlines()[-1])
+    finding = partial(Finding, "large_messages", subject="large messages", facts=facts | {"size": large_messages.SIZE})
+    text = RosText.LARGE(arrived=facts["arrived"], sent=facts["sent"], size=large_messages.SIZE / 1e6)
+    if facts["arrived"] < facts["sent"]:
+        remedy = RosText.LARGE_REMEDY(variable=profile_variable(environ), file=_LARGE_PROFILE)
+        yield finding(grade=Grade.NOTE, text=RosText.LARGE_LOST(found=text), remedy=remedy)
+    elif facts["sent"]:
+        yield finding(grade=Grade.OK, text=text)
+    else:
+        yield finding(grade=Grade.UNKNOWN, text=RosText.NOT_DISCOVERED())
 
 
 def _security(environ: Mapping[str, str]) -> Iterator[Finding]:

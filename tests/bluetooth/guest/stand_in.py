@@ -164,6 +164,7 @@ class StandIn(NoRos):
 class _Subscription:
     liveliness = Liveliness(alive=1)
     matched = 1
+    refuses = False
 
     def __init__(self, sinks: dict[str, Sink], topic: str) -> None:
         self._sinks = sinks
@@ -175,6 +176,7 @@ class _Subscription:
 
 class _Publisher:
     subscriber_count = 1
+    refuses = False
     acknowledged = True
 
     def __init__(self, arrived: list[Arrival]) -> None:

@@ -44,7 +44,8 @@ def _duration(seconds: float) -> Duration:
 def endpoint_of(info: dict[str, Any]) -> Endpoint:
     """An endpoint of the graph. Any DDS program may have put it there, so nothing in it is trusted."""
     type_hash, profile = info.get("topic_type_hash"), info["qos_profile"]
-    node = _NODES.get(info["node_name"])
+    node, durability = _NODES.get(info["node_name"]), profile["durability"]
+    is_durable = durability == DurabilityPolicy.UNKNOWN
     return Endpoint(
         node=sanitize_text(f"{info['node_namespace'].rstrip('/')}/{info['node_name']}") if node is None else node,
         type_name=safe_type_name(info["topic_type"]),
@@ -52,8 +53,9 @@ def endpoint_of(info: dict[str, Any]) -> Endpoint:
         qos=clamp_qos(
             Qos(
                 reliability="reliable" if profile["reliability"] == ReliabilityPolicy.RELIABLE else "best_effort",
+                # What offers more than ROS knows offers what ROS knows, too.
                 durability="transient_local"
-                if profile["durability"] == DurabilityPolicy.TRANSIENT_LOCAL
+                if is_durable or durability == DurabilityPolicy.TRANSIENT_LOCAL
                 else "volatile",
                 history="keep_all" if profile["history"] == HistoryPolicy.KEEP_ALL else "keep_last",
                 depth=0,
@@ -66,6 +68,7 @@ def endpoint_of(info: dict[str, Any]) -> Endpoint:
             )
         ),
         gid=bytes(info["endpoint_gid"]),
+        is_durable=is_durable,
     )
 
 

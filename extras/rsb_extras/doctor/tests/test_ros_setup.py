@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 
@@ -9,9 +10,11 @@ import pytest
 from tests.support import surroundings
 from tests.support.discovery_server import discovery_server
 from tests.support.ports import free_port
+from tests.support.waiting import eventually
 from tests.support.wording import says
 
 from rsb_bridge.model.finding import Finding, Grade, examine
+from rsb_bridge.ros.memory import profile_variable
 from rsb_extras.doctor import ros_setup
 from rsb_extras.doctor.tests import doctor_places
 
@@ -170,3 +173,31 @@ def test_secured_domain_needs_keys(tmp_path: Path) -> None:
     (finding,) = found("ros_security", secured)
     assert finding.grade == Grade.OK
     assert found("ros_security", {}) == []
+
+
+PROFILE = Path(__file__).parents[4] / "configs" / "fastdds-large-messages.xml"
+
+
+def test_large_messages_cross_within_machine_with_profile() -> None:
+    """With the middleware's defaults, mostly none of five does."""
+    profile = os.environ | {profile_variable(os.environ): str(PROFILE)}
+    finding = eventually(lambda: next((each for each in found("large_messages", profile) if each.facts["sent"]), None))
+    assert (finding.grade, finding.facts) == (Grade.OK, {"sent": 5, "arrived": 5, "size": 3_000_000})
+
+
+@pytest.mark.parametrize(
+    ("printed", "grades"),
+    [
+        ('{"sent": 5, "arrived": 2}', [Grade.NOTE]),
+        ('{"sent": 0, "arrived": 0}', [Grade.UNKNOWN]),
+        ("", []),
+    ],
+)
+def test_result_of_large_messages(printed: str, grades: list[Grade]) -> None:
+    program = (sys.executable, "-c", f"print({printed!r}, end='')")
+    checks = [each for each in ros_setup.checks({}, large_test=program) if each.code == "large_messages"]
+    findings = list(examine(checks))
+    assert [each.grade for each in findings] == grades
+    if "2" in printed:
+        assert "2 of 5 best-effort messages of 3 MB" in findings[0].text
+        assert PROFILE.name in findings[0].remedy
