@@ -1,13 +1,14 @@
 """Calls of Python functions for what a bridge does most often: ``python -m bench.journeys``, in 10 s, without ROS.
 
-A robot and a server of the simulation bridge one topic, two others one service. Counted are calls of functions of
-`rsb_bridge`, not those of Python's library or of C. They are the same on each machine.
+A robot and a server of the simulation bridge one topic, two others ten, two others one service. Counted are calls of
+functions of `rsb_bridge`, not those of Python's library or of C. They are the same on each machine.
 """
 
 from __future__ import annotations
 
 import asyncio
 import sys
+import threading
 from collections import Counter
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
@@ -20,6 +21,8 @@ from tests.simulation.ros import STRING, Reader, hash_of
 from rsb_bridge.model.commands import EditTopic, PauseTopics
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
+from rsb_bridge.ros.ros_interface import RawMessage
+from rsb_bridge.ros.ros_thread import RosToLoopQueue, RosTurns
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -33,6 +36,7 @@ if TYPE_CHECKING:
 
 _TOPIC = Topic("/chat", "transmit")
 _SETTLED_AFTER = 2.0  # s
+_MESSAGE = b"\0\1\0\0\3\0\0\0go\0"
 _counted: dict[str, Counter[str]] = {}
 """Calls of each journey, by function."""
 
@@ -71,7 +75,7 @@ class TopicJourneys(Yard):
         # As a topic that nobody hears is a fault.
         Reader(self.server.domain, "/node", f"/{self._name}/chat", STRING, hash_of(STRING), Qos(), lambda _: None)
         for _ in range(40):
-            self._writer.publish(b"\0\1\0\0\3\0\0\0go\0")
+            self._writer.publish(_MESSAGE)
             await asyncio.sleep(0.25)
         for on_server, name in ((False, "tick, sending side"), (True, "tick, receiving side")):
             route = self._route(on_server=on_server)
@@ -100,6 +104,48 @@ class TopicJourneys(Yard):
             link.table.handle(message)
 
 
+class TurnJourneys(Yard):
+    def __init__(self) -> None:
+        topics = [Topic(f"/topic_{number}", "transmit") for number in range(10)]
+        super().__init__(*topics)
+        self._writers = self.publish(*[each.topic for each in topics])
+
+    async def measure(self) -> None:
+        for each in self._writers:
+            topic = f"/{self._name}{each.topic}"
+            Reader(self.server.domain, "/node", topic, STRING, hash_of(STRING), Qos(), lambda _: None)
+        for _ in range(40):
+            for each in self._writers:
+                each.publish(_MESSAGE)
+            await asyncio.sleep(0.25)
+        came = next(iter(self.routes(on_server=True).values())).half.carried.channel._from.stream
+        data_received = came.data_received
+
+        def counted(data: bytes) -> None:
+            with _counting("turn of ten topics, receiving side"):
+                data_received(data)
+
+        came.data_received = counted
+        self._turn()
+        await asyncio.sleep(_SETTLED_AFTER)
+        del came.data_received
+
+    def _turn(self) -> None:
+        """Have the ROS thread hand on a message of each topic, while the I/O loop waits."""
+        routes = self.routes()
+        assert self.robot.run is not None
+        turns, loop = RosTurns(), asyncio.get_running_loop()
+        queue = RosToLoopQueue(loop, lambda work: (work(), True)[1], turns)
+        queue.joined = self.link().context.ros_queue.joined
+        turns.gathering = threading.get_ident()
+        now = self.robot.clock.time_ns()
+        with _counting("turn of ten topics, sending side"):
+            for each in self._writers:
+                receiver = routes[each.topic].half.subscription._receiver
+                queue.put(receiver, [RawMessage(_MESSAGE, now, each.gid, each.published + 1, source=now)])
+            turns.gathered()
+
+
 class ServiceJourneys(CallHarness):
     async def measure(self) -> None:
         self.server()
@@ -115,7 +161,7 @@ class ServiceJourneys(CallHarness):
 
 def main() -> None:
     journeys: Bed
-    for journeys in (TopicJourneys(), ServiceJourneys()):
+    for journeys in (TopicJourneys(), TurnJourneys(), ServiceJourneys()):
         journeys.world.invariants.check = lambda: None  # type: ignore[method-assign]  # they count the world's own flows
         journeys.world.play(life=journeys.live(journeys.measure()))
     for name, by_function in _counted.items():
