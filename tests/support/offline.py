@@ -128,7 +128,8 @@ class FakePeer:
 
 
 def proposal_for(topic: Topic, context: Context, purpose: Purpose = ORDINARY) -> Propose:
-    return proposal_of(topic, context.transports["tcp"], client_name="robot1", use_name=False, purpose=purpose)
+    transport = context.transports[topic.protocol or "tcp"]
+    return proposal_of(topic, transport, client_name="robot1", use_name=False, purpose=purpose)
 
 
 def half_of(

@@ -51,7 +51,7 @@ class CarriedLink(Protocol):
     ids: RouteIds
     budget: PeerBudget
     keepalive: Keepalive
-    outlives: float
+    outlive: float
     shortages_told: set[bool]  # kernel buffers of this side (True) or the peer that are logged already
 
     def shared_port(self) -> int: ...
@@ -126,9 +126,9 @@ class DataChannels:
                 pair.resume(self.keys)
 
     @property
-    def outlives(self) -> float:
+    def outlive(self) -> float:
         """Seconds for which lost streams may be opened again: as many as the association outlives its connection."""
-        return self._link.outlives
+        return self._link.outlive
 
     def open_all(self) -> None:
         """Open the streams and UDP channels that routes wait for."""
