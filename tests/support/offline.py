@@ -19,7 +19,7 @@ from rsb_bridge.ros.ros_thread import RosToLoopQueue
 from rsb_bridge.route.half import Half
 from rsb_bridge.route.idling import Timetable
 from rsb_bridge.route.lifecycle import Revisions
-from rsb_bridge.route.peer import PeerBudget
+from rsb_bridge.route.peer_budget import PeerBudget
 from rsb_bridge.route.route import Entry, Route
 from rsb_bridge.telemetry.event_log import EventLog
 from rsb_bridge.telemetry.meters import ClockOffset

@@ -16,7 +16,7 @@ from rsb_bridge.model.transports import outlive_of
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.route.idling import Timetable
 from rsb_bridge.route.lifecycle import Revisions
-from rsb_bridge.route.peer import PeerBudget
+from rsb_bridge.route.peer_budget import PeerBudget
 from rsb_bridge.tasks import Tasks
 from rsb_bridge.transport.network_news import device_of
 from rsb_bridge.wire.codec import encode

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from rsb_bridge.link.control_channel import ControlChannel
     from rsb_bridge.link.keepalive import ChannelCarrier, Keepalive
     from rsb_bridge.link.route_ids import RouteIds
-    from rsb_bridge.route.peer import PeerBudget
+    from rsb_bridge.route.peer_budget import PeerBudget
     from rsb_bridge.route.route import Route
     from rsb_bridge.transport.streams import Stream
     from rsb_bridge.transport.transport import DatagramTransport
