@@ -25,6 +25,7 @@ from rsb_bridge.channel.reliable_datagrams import datagram_channel
 from rsb_bridge.channel.scheduler import Scheduler
 from rsb_bridge.channel.udp_channel import ClientUdpChannel, PathProbe, ServerUdpChannel, UdpDemultiplexer
 from rsb_bridge.channel.window import ReceiptBook, Window
+from rsb_bridge.model.fates import RELIABLE
 from rsb_bridge.route.sending import QueueLimits, SendQueue
 from rsb_bridge.transport import udp
 from rsb_bridge.wire.framing import Budget
@@ -33,6 +34,7 @@ from rsb_bridge.wire.sealing import CipherSuite, ConnectionKeys
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from rsb_bridge.model.fates import Fates
     from rsb_bridge.model.reason import Reason
     from rsb_bridge.transport.streams import Address
     from rsb_bridge.transport.transport import DatagramSocket
@@ -55,8 +57,7 @@ class Route:
     outgoing: bool
     id: int = 1
     duplex: bool = False
-    resumes: bool = True
-    resends: bool = True
+    fates: Fates = field(default_factory=lambda: RELIABLE)
     weight: int = 4
     latencies: list[int] = field(default_factory=list)
     queue: SendQueue = field(default_factory=lambda: SendQueue(Budget(1 << 40)))

@@ -9,7 +9,7 @@ from tests.support import constants
 from tests.support.bridge import route
 from tests.support.waiting import eventually, holds
 
-from rsb_bridge.route.peer import CallLimits
+from rsb_bridge.route.peer_budget import CallLimits
 
 if TYPE_CHECKING:
     import pytest

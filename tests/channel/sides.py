@@ -16,6 +16,7 @@ from rsb_bridge.channel.data_stream import StreamPair, stream_channel, take_rece
 from rsb_bridge.channel.scheduler import Scheduler
 from rsb_bridge.channel.udp_channel import PathProbe
 from rsb_bridge.channel.window import ReceiptBook, Window
+from rsb_bridge.model.fates import RELIABLE
 from rsb_bridge.model.session import weight_of
 from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.transport.tcp import Tcp
@@ -44,14 +45,13 @@ class Route:
         arrived: payloads that came, each with the time in seconds.
         lost: the reasons why its channel was lost.
         always: bytes of a message that it sends again and again, or 0.
-        resumes: whether it goes on on another stream.
-        resends: whether it sends again there what was not acknowledged.
+        fates: the effect of each loss on it.
     """
 
     def __init__(self, number: int, rank: int = 0, always: int = 0, *, outgoing: bool, duplex: bool = False) -> None:
         self.id, self.rank, self.weight, self.always = number, rank, weight_of(rank), always
         self.outgoing, self.duplex = outgoing, duplex
-        self.resumes = self.resends = True
+        self.fates = RELIABLE
         self.waiting: deque[bytes] = deque()
         self.arrived: list[tuple[bytes, float]] = []
         self.lost: list[str] = []
@@ -90,7 +90,7 @@ class Side:
 
     Attributes:
         receipts: messages with receipts that this side has sent.
-        outlives: s for which lost streams may be opened again.
+        outlive: s for which lost streams may be opened again.
         ahead: s by which the clock of its streams is ahead of the loop's.
         deaf: whether it loses the other side's receipts.
         closed: ids of routes that were open.
@@ -111,7 +111,7 @@ class Side:
         self.book.now = lambda: asyncio.get_running_loop().time() + self.ahead
         self.scheduler = Scheduler(self.book, Window())
         self.reopened = 0
-        self.outlives = 60.0
+        self.outlive = 60.0
         self.ids = self
         self.pair = StreamPair(self, Tcp(), 0)
 
@@ -179,7 +179,7 @@ class Side:
 
 def routes_of(outgoing: Route) -> Route:
     route = Route(outgoing.id, outgoing.rank, outgoing=False, duplex=outgoing.duplex)
-    route.resumes, route.resends = outgoing.resumes, outgoing.resends
+    route.fates = outgoing.fates
     return route
 
 

@@ -12,6 +12,7 @@ from tests.channel.datagram_radio import RadioChannel, datagrams_between, pass_t
 from tests.channel.sides import Radio, Route, Side, connected
 
 from rsb_bridge.channel.datagram_carrier import DatagramCarrier
+from rsb_bridge.model.fates import BEST_EFFORT, RELIABLE
 from rsb_bridge.wire.datagram import Receipt
 
 pytestmark = pytest.mark.usefixtures("loop")
@@ -31,7 +32,7 @@ class Live(Route):
 
     def __init__(self, number: int, size: int, rate: float, rank: int = 0, *, reliable: bool = True) -> None:
         super().__init__(number, rank, outgoing=True)
-        self.resends = reliable
+        self.fates = RELIABLE if reliable else BEST_EFFORT
         self.size, self.rate = size, rate
         self.sent = 0
 

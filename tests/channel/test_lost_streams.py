@@ -13,6 +13,7 @@ from tests.support.constants import STREAM_DEAD_AFTER, STREAM_STALLED_AFTER
 from tests.support.coroutines import until
 
 from rsb_bridge.channel.data_stream import LARGE
+from rsb_bridge.model.fates import ARM_REQUIRED, BEST_EFFORT, RELIABLE
 from rsb_bridge.model.reason import EndCode, Reason
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.wire.framing import DataWriter
@@ -87,7 +88,7 @@ async def test_route_resumes_in_order(name: str, size: int, cut_by: int, resends
     """Three times, amid messages, and noticed by either side first. What is not sent again is counted."""
     async with connected(Route(1, outgoing=True), Route(2, outgoing=True)) as sides:
         near, far = sides
-        near.routes[1].resends = resends
+        near.routes[1].fates = RELIABLE if resends else BEST_EFFORT
         numbers, others = Numbers(near, 1, size), Numbers(near, 2, 100)
         for _ in range(3):
             numbers.send(40)
@@ -174,7 +175,7 @@ async def test_routes_that_must_not_go_on_are_closed() -> None:
     armed, topic = Route(1, outgoing=True), Route(3, outgoing=True)
     async with connected(armed, topic) as sides:
         for side in sides:
-            side.routes[1].resumes = False
+            side.routes[1].fates = ARM_REQUIRED
         stream_of(sides[0], "small").stream.abort("cut")
         await until(lambda: all(side.reopened for side in sides))
         assert sides[0].routes[1].lost == ["cut"]
@@ -228,7 +229,7 @@ async def test_what_waits_for_another_stream_is_not_acknowledged(monkeypatch: py
 async def test_nobody_asks_for_streams_that_no_route_needs() -> None:
     async with connected(Route(1, outgoing=True)) as sides:
         for side in sides:
-            side.routes[1].resumes = False
+            side.routes[1].fates = ARM_REQUIRED
         stream_of(sides[0], "small").stream.abort("cut")
         await until(lambda: all(side.pair.over for side in sides))
         assert not any(side.reopened for side in sides)

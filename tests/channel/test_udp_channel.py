@@ -28,6 +28,7 @@ from rsb_bridge.channel.udp_channel import (
     UdpChannel,
     UdpDemultiplexer,
 )
+from rsb_bridge.model.fates import ARM_REQUIRED, RELIABLE
 from rsb_bridge.transport.udp import Udp
 from rsb_bridge.wire.datagram import DatagramWriter, Probe, Urgent
 from rsb_bridge.wire.framing import LEASED, Budget
@@ -174,7 +175,7 @@ async def one_way(server: Server, *, armed: bool = False) -> tuple[Lossy, Route,
     there = server.channels[b"link one"]
     await ready(there)
     route, here = Route(1, outgoing=False), Route(1, outgoing=True)
-    route.resumes = here.resumes = not armed
+    route.fates = here.fates = ARM_REQUIRED if armed else RELIABLE
     datagram_channel(there, route, server.keys[b"link one"])
     sender = datagram_channel(client, here, keys)
     assert isinstance(sender, DatagramSender)

@@ -16,7 +16,7 @@ OF_OTHERS = {
     ),
     "bridge/rsb_bridge/ros/native/rclpy_extension.py": (", at ",),
     "extras/rsb_extras/bench/loopback.py": ("model name",),
-    "extras/rsb_extras/zenoh/network.py": ("Unable to connect", " at /"),
+    "extras/rsb_extras/zenoh/unreachable.py": ("Unable to connect", " at /"),
 }
 """Words of other programs, which have no codes, by the module that looks for them."""
 OF_FILES = {

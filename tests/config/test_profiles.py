@@ -18,7 +18,7 @@ from rsb_bridge.model.transports import NO_PROFILE, PROFILES, LinkProfile, profi
 from rsb_bridge.route.catching_up import Backlog
 from rsb_bridge.route.half import Carried
 from rsb_bridge.route.ledger import RouteLedger
-from rsb_bridge.route.peer import PeerBudget
+from rsb_bridge.route.peer_budget import PeerBudget
 from rsb_bridge.route.rate_limit import RateLimit
 from rsb_bridge.route.sending import Outbox, QueueLimits
 from rsb_bridge.route.topic_flow import AgreedEnd

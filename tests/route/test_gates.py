@@ -50,7 +50,7 @@ from rsb_bridge.route.gates import (
 from rsb_bridge.route.history_depth import Sample
 from rsb_bridge.route.lease import LASTS
 from rsb_bridge.route.ledger import RouteLedger
-from rsb_bridge.route.peer import CallBudget
+from rsb_bridge.route.peer_budget import CallBudget
 from rsb_bridge.route.rate_limit import AllowedRates
 from rsb_bridge.route.sending import Outbox
 from rsb_bridge.route.topic_flow import SilenceWatch

@@ -14,7 +14,7 @@ from rsb_bridge.model.transports import NO_PROFILE
 from rsb_bridge.route.catching_up import Backlog
 from rsb_bridge.route.half import Carried
 from rsb_bridge.route.ledger import RouteLedger
-from rsb_bridge.route.peer import PeerBudget
+from rsb_bridge.route.peer_budget import PeerBudget
 from rsb_bridge.route.sending import Outbox, Overload, QueueLimits
 from rsb_bridge.route.topic_flow import AgreedEnd
 from rsb_bridge.transport.registry import default_transports

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from tests.simulation.world import Robot, World
 
     from rsb_bridge.link.link import Link
-    from rsb_bridge.route.peer import PeerBudget
+    from rsb_bridge.route.peer_budget import PeerBudget
 
 WITHDRAWN_WITHIN = 1.5
 """s from when a link is down until a service is offered no more: the second that it may take, and one look at it."""

@@ -16,6 +16,7 @@ from tests.simulation.call_invariants import CallInvariants
 from tests.simulation.tables import tables
 
 from rsb_bridge.channel.data_stream import StreamReceiver
+from rsb_bridge.model.fates import Fate, Lost
 from rsb_bridge.model.limits import KEPT_DEPTH
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.route.calls.goals import MOST_GOALS
@@ -121,7 +122,7 @@ class Invariants:
             for route in link.routes.values():
                 if not (isinstance(route.half, Receiver) and isinstance(route.half.carried.channel, StreamReceiver)):
                     continue
-                if route.resends and (lost := route.half.carried.channel.counts().lost):
+                if route.fates[Lost.STREAM] is not Fate.WAITS and (lost := route.half.carried.channel.counts().lost):
                     self._world.wrong(f"{run.host.name}: {route.key} lost {lost} messages with a stream")
 
     # --- links

@@ -21,7 +21,7 @@ from rsb_bridge.link.link import Link
 from rsb_bridge.model.commands import ArmTopic, DisarmTopic, PauseTopics
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
-from rsb_bridge.route.peer import CallLimits
+from rsb_bridge.route.peer_budget import CallLimits
 
 if TYPE_CHECKING:
     from collections.abc import Callable

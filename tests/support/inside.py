@@ -48,7 +48,7 @@ def pretend_linked(link: Link, control: Any) -> None:
     """Let a link have a connection of which there is only a stand-in of its control channel."""
     channels: Any = SimpleNamespace(control=control, is_silent=False, suspend=lambda _: None, close=lambda: None)
     link.present, link.association = channels, Association(bytes(8), "", channels)
-    link.outlives = link.own_outlive  # as if the peer's association were this one's
+    link.outlive = link.own_outlive  # as if the peer's association were this one's
 
 
 def renew_snapshot(engine: Engine) -> None:

@@ -19,7 +19,7 @@ from rsb_bridge.ros.ros_thread import RosToLoopQueue
 from rsb_bridge.route.half import Half
 from rsb_bridge.route.idling import Timetable
 from rsb_bridge.route.lifecycle import Revisions
-from rsb_bridge.route.peer import PeerBudget
+from rsb_bridge.route.peer_budget import PeerBudget
 from rsb_bridge.route.route import Entry, Route
 from rsb_bridge.telemetry.event_log import EventLog
 from rsb_bridge.telemetry.meters import ClockOffset
@@ -128,7 +128,8 @@ class FakePeer:
 
 
 def proposal_for(topic: Topic, context: Context, purpose: Purpose = ORDINARY) -> Propose:
-    return proposal_of(topic, context.transports["tcp"], client_name="robot1", use_name=False, purpose=purpose)
+    transport = context.transports[topic.protocol or "tcp"]
+    return proposal_of(topic, transport, client_name="robot1", use_name=False, purpose=purpose)
 
 
 def half_of(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from rsb_bridge.model.fates import Fates
     from rsb_bridge.model.reason import Reason
     from rsb_bridge.model.verdict import Verdict
     from rsb_bridge.wire.framing import Message
@@ -35,12 +36,8 @@ class RouteSink(Protocol):
         """The weight of its share of the link."""
 
     @property
-    def resumes(self) -> bool:
-        """Whether it stays open when its connection is lost, and resumes on the next one."""
-
-    @property
-    def resends(self) -> bool:
-        """Whether it sends again what the other side has not got."""
+    def fates(self) -> Fates:
+        """The effect of each loss on it (`rsb_bridge.model.fates`)."""
 
     def deliver(self, messages: Sequence[Message]) -> None:
         """Take messages that arrived whole and authentic."""

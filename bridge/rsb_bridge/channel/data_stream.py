@@ -25,6 +25,7 @@ from rsb_bridge.channel.channel import REOPENS, Counts, DataChannel, ReceivingCh
 from rsb_bridge.channel.scheduler import Carrier, SendingChannel
 from rsb_bridge.channel.window import ReceiptBook, ReceiptCounter
 from rsb_bridge.model.budgets import Backoff
+from rsb_bridge.model.fates import Fate, Lost
 from rsb_bridge.model.reason import NO_REASON, EndCode, Reason
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause, Verdict
@@ -83,7 +84,7 @@ class StreamsOwner(Protocol):
     book: ReceiptBook
 
     @property
-    def outlives(self) -> float:
+    def outlive(self) -> float:
         """Seconds for which what is lost may be opened again."""
 
     @property
@@ -403,7 +404,7 @@ class StreamPair:
     @property
     def _patience(self) -> float:
         """Seconds for which routes wait for streams that deliver."""
-        return max(_FAILING_AFTER, self._owner.outlives)
+        return max(_FAILING_AFTER, self._owner.outlive)
 
     def _plan_attempt(self, now: float) -> None:
         """Set when streams are opened again that were lost at `now` (s): later each time if they are lost at once."""
@@ -431,7 +432,7 @@ class StreamPair:
         self._end(lost, reason.text)
         for end in tuple(self.ends.values()):  # each one that is lost leaves
             if end.uses(stream):
-                if resumes and end.route.resumes:
+                if resumes and end.route.fates[Lost.STREAM] is not Fate.CLOSES:
                     end.suspend()
                 else:
                     end.route.channel_lost(reason)
@@ -701,7 +702,7 @@ class StreamSender(_StreamEnd, SendingChannel):
         if not self.via.over:  # the other way's stream was lost
             return
         self._at = 0  # the message that was begun is sent again in full
-        if self.route.resends:
+        if self.route.fates[Lost.STREAM] is Fate.SENDS_AGAIN:
             self._again += len(self.unacknowledged)
             self._messages.extendleft(reversed(self.unacknowledged))
         self.unacknowledged = []

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from rsb_bridge.channel.channel import Counts
 from rsb_bridge.channel.datagram_channel import DatagramReceiver, DatagramSender
+from rsb_bridge.model.fates import Fate, Lost
 from rsb_bridge.wire.datagram import DatagramReader, OrderedReader
 
 if TYPE_CHECKING:
@@ -278,7 +279,7 @@ class ReliableReceiver(DatagramReceiver):
 
 def datagram_channel(udp_channel: UdpChannel, route: RouteSink, keys: DataKeys) -> DatagramSender | DatagramReceiver:
     """Return this side's end of a route's channel on a UDP channel."""
-    reliable = route.resumes and route.resends
+    reliable = route.fates[Lost.DATAGRAM] is Fate.SENDS_AGAIN
     if route.outgoing:
         return (ReliableSender if reliable else DatagramSender)(udp_channel, route, keys.datagram_writer(route.id))
     if reliable:

@@ -16,7 +16,7 @@ from rsb_bridge.model.transports import outlive_of
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.route.idling import Timetable
 from rsb_bridge.route.lifecycle import Revisions
-from rsb_bridge.route.peer import PeerBudget
+from rsb_bridge.route.peer_budget import PeerBudget
 from rsb_bridge.tasks import Tasks
 from rsb_bridge.transport.network_news import device_of
 from rsb_bridge.wire.codec import encode
@@ -120,7 +120,7 @@ class BaseLink:
         self.present: DataChannels | None = None  # of the present connection, if there is one
         self.association: Association | None = None  # while the link is up or suspended
         self._lost_at = 0.0
-        self.outlives = 0.0  # s that the association outlives its connection: the smaller number of both sides
+        self.outlive = 0.0  # s that the association outlives its connection: the smaller number of both sides
         self.peer: Hello | Welcome | None = None  # before the first connection
         self.instance = ""  # process of the peer
         self.connections = 0
@@ -248,7 +248,7 @@ class BaseLink:
             control.abort("internal error")  # `fail` does not know it, and its goodbye would end the next connection
             raise
         self.peer, self.instance = event.peer, event.peer.instance
-        self.outlives = min(self.own_outlive, event.peer.outlive)
+        self.outlive = min(self.own_outlive, event.peer.outlive)
         self.connections += 1
         self.via = device_of(stream.own_address) if self.transport.ip_ports else ""
         before, self.keepalive = self.keepalive, Keepalive(self, stream)
@@ -345,7 +345,7 @@ class BaseLink:
         # `down` leaves the time as it is: each failed attempt calls it, but the link is down since now.
         self.status.since = self.context.clock.steady()
         self._lost_at = self.context.now()
-        association, seconds = self.association, self.outlives
+        association, seconds = self.association, self.outlive
         is_broken = channels.control.is_fault or code is not EventCode.LINK_LOST
         if association is None or association.is_over or is_broken or not seconds:
             self.end_association()
@@ -358,7 +358,7 @@ class BaseLink:
         self.log(level, code, f"link with {self.peer_at} {how}: {reason}", link_status=True)
 
     def _expire(self) -> None:
-        text = f"the link was away for {self.outlives:g} s: what waited for it is dropped"
+        text = f"the link was away for {self.outlive:g} s: what waited for it is dropped"
         self.log(Level.WARNING, EventCode.LINK_CLOSED, text, link_status=True)
         self.end_association()
 

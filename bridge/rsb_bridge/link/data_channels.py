@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from rsb_bridge.link.control_channel import ControlChannel
     from rsb_bridge.link.keepalive import ChannelCarrier, Keepalive
     from rsb_bridge.link.route_ids import RouteIds
-    from rsb_bridge.route.peer import PeerBudget
+    from rsb_bridge.route.peer_budget import PeerBudget
     from rsb_bridge.route.route import Route
     from rsb_bridge.transport.streams import Stream
     from rsb_bridge.transport.transport import DatagramTransport
@@ -51,7 +51,7 @@ class CarriedLink(Protocol):
     ids: RouteIds
     budget: PeerBudget
     keepalive: Keepalive
-    outlives: float
+    outlive: float
     shortages_told: set[bool]  # kernel buffers of this side (True) or the peer that are logged already
 
     def shared_port(self) -> int: ...
@@ -126,9 +126,9 @@ class DataChannels:
                 pair.resume(self.keys)
 
     @property
-    def outlives(self) -> float:
+    def outlive(self) -> float:
         """Seconds for which lost streams may be opened again: as many as the association outlives its connection."""
-        return self._link.outlives
+        return self._link.outlive
 
     def open_all(self) -> None:
         """Open the streams and UDP channels that routes wait for."""

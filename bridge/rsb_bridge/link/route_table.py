@@ -27,6 +27,7 @@ from rsb_bridge.link.proposals import (
 )
 from rsb_bridge.link.route_openings import RouteOpenings
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.fates import Fate, Lost
 from rsb_bridge.model.purposes import purposes
 from rsb_bridge.model.reason import EndCode, Reason
 from rsb_bridge.model.snapshot import Level
@@ -100,19 +101,12 @@ class RouteTable(Extension):
     def disconnected(self) -> None:
         self.openings.disconnected()
         self._link.ids.disconnected()
-        for route in self._link.routes.values():
-            route.close(self._link.status.reason)
-            _lead(route)  # the peer's next session may not list it any more
+        _lose(Lost.ASSOCIATION, self._link)
         self.arming.lease.stop()  # after the routes, which ask how long the other side may still publish
 
     def suspend(self) -> None:
         self.openings.suspend()
-        for route in self._link.routes.values():
-            if route.id and route.life.accepted and route.resumes:
-                route.suspend()
-            elif route.id:
-                route.close(self._link.status.reason)
-                _lead(route)
+        _lose(Lost.CONNECTION, self._link)
         self.arming.lease.stop()  # after the routes, as in `disconnected`
 
     # --- adding and removing
@@ -517,6 +511,16 @@ class RouteTable(Extension):
                 else:
                     self._forget(route, EventCode.ROUTE_REMOVED, "the other side no longer asks for it")
                     self.on_given_up()
+
+
+def _lose(lost: Lost, link: BaseLink) -> None:
+    """Suspend or close a link's routes, which have lost what carries them."""
+    for route in link.routes.values():
+        if route.id and route.life.accepted and route.fates[lost] is not Fate.CLOSES:
+            route.suspend()
+        elif route.id or lost is Lost.ASSOCIATION:
+            route.close(link.status.reason)
+            _lead(route)  # the peer's next session may not list it any more
 
 
 def _lead(route: Route) -> None:

@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from rsb_bridge.route.ledger import RouteLedger
     from rsb_bridge.route.lifecycle import PauseState
     from rsb_bridge.route.loop_filter import LoopFilter
-    from rsb_bridge.route.peer import CallBudget
+    from rsb_bridge.route.peer_budget import CallBudget
     from rsb_bridge.route.rate_limit import AllowedRates, LastLater, Throttle
     from rsb_bridge.route.route import Route
     from rsb_bridge.route.topic_flow import TopicFlow

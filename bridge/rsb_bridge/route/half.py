@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.cdr.description import TypeVersion
     from rsb_bridge.cdr.known_types import Velocity
+    from rsb_bridge.model.fates import Fates
     from rsb_bridge.model.snapshot import RouteSnapshot, Stage
     from rsb_bridge.model.verdict import Verdict
     from rsb_bridge.ros.ros_interface import Endpoint
@@ -101,8 +102,8 @@ class Facts(Protocol):
         """The types of its messages; of calls, also the types of their requests and responses."""
 
     @property
-    def resends(self) -> bool:
-        """Whether it sends lost messages again, as calls and reliable topics do."""
+    def fates(self) -> Fates:
+        """The effect of each loss on the route, unless it has to be armed."""
 
     @property
     def lifespan(self) -> float:

@@ -22,7 +22,7 @@ from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.limits import LATCHED_DEPTH
 from rsb_bridge.ros.ros_interface import Publisher, RosError, RosProblem
 from rsb_bridge.route.message_check import PUBLISHED_ASIDE
-from rsb_bridge.route.peer import KEPT_LIMIT
+from rsb_bridge.route.peer_budget import KEPT_LIMIT
 
 if TYPE_CHECKING:
     import asyncio

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Unpack, final
 import msgspec
 
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.fates import ARM_REQUIRED, Fate, Lost
 from rsb_bridge.model.purposes import purposes
 from rsb_bridge.model.reason import NO_REASON, Reason
 from rsb_bridge.model.session import HIGHEST, weight_of
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
     from rsb_bridge.cdr.description import CompareTypes
     from rsb_bridge.context import Context
     from rsb_bridge.model.capacity import Fullness
+    from rsb_bridge.model.fates import Fates
     from rsb_bridge.model.keep import Keep
     from rsb_bridge.model.session import Topic
     from rsb_bridge.model.verdict import Verdict
@@ -299,19 +301,14 @@ class Route:
         self.half.resume()
 
     @property
-    def resumes(self) -> bool:
-        """Whether it stays open when its connection is lost, and goes on on the next one."""
-        return not self.arming.required  # a break disarms what moves robots
-
-    @property
-    def resends(self) -> bool:
-        """Whether it sends lost messages again, as calls and reliable topics do."""
-        return self.half.facts.resends
+    def fates(self) -> Fates:
+        """The effect of each loss on it."""
+        return ARM_REQUIRED if self.arming.required else self.half.facts.fates  # a break disarms what moves robots
 
     @property
     def lossy(self) -> bool:
         """Whether its channel may lose messages of an opening for good."""
-        return not self.transport.reliable and not (self.resumes and self.half.facts.resends)
+        return not self.transport.reliable and self.fates[Lost.DATAGRAM] is Fate.LOSES
 
     def channel_lost(self, reason: Reason) -> None:
         """Open the route again after its channel broke. It is an error only if the link survives."""

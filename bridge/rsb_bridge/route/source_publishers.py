@@ -14,7 +14,7 @@ from rsb_bridge.model.qos import AUTO_DEPTH
 from rsb_bridge.ros.announcements import Origin
 from rsb_bridge.ros.ros_interface import Endpoint, RosError
 from rsb_bridge.route.latched import MESSAGE_COST, LatchedFullError, LatchedTopic
-from rsb_bridge.route.peer import TypeUse
+from rsb_bridge.route.peer_budget import TypeUse
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

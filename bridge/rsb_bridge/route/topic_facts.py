@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from rsb_bridge.cdr.description import TypeVersion
+from rsb_bridge.model.fates import BEST_EFFORT, RELIABLE
 from rsb_bridge.model.names import expand_type_name
 from rsb_bridge.model.qos import incompatible
 from rsb_bridge.model.snapshot import Ledger, Stage
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.cdr.known_types import Velocity
     from rsb_bridge.channel.scheduler import SendingChannel
+    from rsb_bridge.model.fates import Fates
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.snapshot import RouteSnapshot
     from rsb_bridge.model.verdict import Verdict
@@ -94,10 +96,10 @@ class TopicFacts(Facts, ABC):
         return (TypeVersion(self.carried.type_name, self.carried.type_hash),)
 
     @property
-    def resends(self) -> bool:
+    def fates(self) -> Fates:
         # Kept messages must not get lost. Over datagrams both ends have to agree, and both know only the QoS.
         qos, kept = self.flow.qos, self.route.proposal.keep is not None and self.route.transport.reliable
-        return kept or qos is None or qos.reliability != "best_effort"
+        return RELIABLE if kept or qos is None or qos.reliability != "best_effort" else BEST_EFFORT
 
     @property
     def lifespan(self) -> float:

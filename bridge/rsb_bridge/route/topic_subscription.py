@@ -19,7 +19,7 @@ from rsb_bridge.ros.publication_numbers import PublicationNumbers, Untaken
 from rsb_bridge.ros.ros_interface import BATCH, RosError
 from rsb_bridge.route.history_depth import Histories, note_taken
 from rsb_bridge.route.lease import Marker
-from rsb_bridge.route.peer import TypeUse
+from rsb_bridge.route.peer_budget import TypeUse
 from rsb_bridge.route.route import promised_keep
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from rsb_bridge.model.calls import Refused
-from rsb_bridge.route.peer import PEERS_SHARE, CallBudget, CallLimits
+from rsb_bridge.route.peer_budget import PEERS_SHARE, CallBudget, CallLimits
 
 _LIMITS = CallLimits(under_way=3, bytes_under_way=1000, a_second=10.0)
 

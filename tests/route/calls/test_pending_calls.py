@@ -12,7 +12,7 @@ from tests.support.held import held_by
 from tests.support.inside import timer_of
 
 from rsb_bridge.route.calls.pending_calls import PendingCall, PendingCalls
-from rsb_bridge.route.peer import CallBudget
+from rsb_bridge.route.peer_budget import CallBudget
 
 if TYPE_CHECKING:
     from tests.support.virtual_time import VirtualLoop

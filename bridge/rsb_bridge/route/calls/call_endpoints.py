@@ -12,7 +12,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.ros_interface import RosError, TopicSpec
 from rsb_bridge.route.calls.calls_end import Trouble
-from rsb_bridge.route.peer import TypeUse
+from rsb_bridge.route.peer_budget import TypeUse
 
 if TYPE_CHECKING:
     import asyncio

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from rsb_bridge.model.calls import Refused
+from rsb_bridge.model.fates import RELIABLE
 from rsb_bridge.model.snapshot import Ledger, Stage, State
 from rsb_bridge.model.verdict import LASTING, Cause, LinkCause, Verdict
 from rsb_bridge.route.blocking_rules import first_missing, stages_with_link
@@ -35,7 +36,7 @@ class CallsFacts(Facts):
         end: the offer to callers here, or the servers here.
     """
 
-    resends = True
+    fates = RELIABLE
     learns = True
     lifespan = 0.0
 

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     import asyncio
     from collections.abc import Callable
 
-    from rsb_bridge.route.peer import CallBudget
+    from rsb_bridge.route.peer_budget import CallBudget
 
 _ROOM = 64
 """Entries of ended calls that may stay, however few calls there are. A round figure."""

@@ -11,9 +11,9 @@ from tests.support.wording import says
 from rsb_bridge.api import EngineError
 from rsb_bridge.wire.preamble import RefusalText
 from rsb_extras.zenoh.endpoint import EndpointProblem
-from rsb_extras.zenoh.network import Unreachable
 from rsb_extras.zenoh.pipe import PipeProblem
 from rsb_extras.zenoh.tests import zenoh_places
+from rsb_extras.zenoh.unreachable import Unreachable
 from rsb_extras.zenoh.zenoh_transport import FleetText
 
 pytest.importorskip("zenoh")  # an extra

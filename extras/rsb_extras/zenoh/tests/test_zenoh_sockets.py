@@ -13,7 +13,8 @@ import pytest
 from tests.support.waiting import eventually
 
 from rsb_extras.zenoh import ZenohSettings
-from rsb_extras.zenoh.network import Network, prepare_socket
+from rsb_extras.zenoh.network import Network
+from rsb_extras.zenoh.zenoh_sockets import prepare_socket
 
 pytest.importorskip("zenoh")
 from rsb_extras.zenoh.tests.zenoh_router import Router

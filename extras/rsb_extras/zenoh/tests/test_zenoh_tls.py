@@ -12,8 +12,9 @@ from tests.support.certificates import Authority
 from tests.support.wording import says
 
 from rsb_extras.zenoh import ZenohSettings
-from rsb_extras.zenoh.network import CertificateRemedy, Network, Unreachable
+from rsb_extras.zenoh.network import Network
 from rsb_extras.zenoh.tests import zenoh_places
+from rsb_extras.zenoh.unreachable import CertificateRemedy, Unreachable
 
 zenoh = pytest.importorskip("zenoh")
 from rsb_extras.zenoh.tests.zenoh_router import Router  # noqa: E402 (it needs the package)
