@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from typing import TYPE_CHECKING
 
 import pytest
@@ -146,6 +147,21 @@ async def test_never_empty_queue_is_told_apart(every: float, full: bool) -> None
         assert route.channel.behind(now()) is full
         assert (min(waits[100:]) > 1.0) is full
         assert full or max(waits) < every
+
+
+async def test_sizes_follow_when_nothing_waits_any_more() -> None:
+    """A busy link sends in small pieces, and the receipt with which nothing waits any more finds it busy."""
+    maps = Route(1, always=100_000, outgoing=True)
+    async with connected(maps, open_streams=Radio(14 * _PACE).open) as (near, far):
+        maps.flush()
+        await pass_seconds(20, near, far)
+        scheduler, busy = near.scheduler, near.scheduler.chunk
+        maps.always = 0
+        while scheduler.waits_since < math.inf:  # noqa: ASYNC110 (of virtual time; nothing tells that moment)
+            await asyncio.sleep(0.001)
+        idle = scheduler.chunk
+        scheduler.choose_sizes()
+        assert idle == scheduler.chunk > busy
 
 
 class Holding(StreamHandler):

@@ -230,6 +230,7 @@ class Route:
         self.mute: set[bytes] = set()
         self.budget = Budget(1 << 30)
         self.offered = self.sent = self.held = 0
+        self.paused = False
         self.topic = self.make_topic()
         self.subscription = self.make_subscription()
         self.open()
@@ -256,7 +257,18 @@ class Route:
         subject = TopicSpec("/latched", "std_msgs/msg/String", "", qos)
         self.topic.opened()
         self.subscription.begin(subject, known=self.topic.newest())
-        self.subscription.subscribe(missed=False)
+        self.tell()
+        if not self.paused:
+            self.subscription.subscribe(missed=False)
+
+    def pause(self, paused: bool) -> None:
+        if paused == self.paused:
+            return
+        self.paused = paused
+        if paused:
+            self.subscription.unsubscribe()
+        else:
+            self.subscription.subscribe(missed=False)
 
     def offer(self, batch: Sequence[RawMessage]) -> None:
         assert self.subscription.histories is not None
@@ -335,9 +347,17 @@ class World:
         )
 
 
-@pytest.mark.parametrize("seed", range(16))
-@pytest.mark.parametrize("kills", [0, 2])
-def test_late_joiners_get_the_same_on_both_sides(kills: int, seed: int) -> None:
+@pytest.mark.parametrize(
+    ("kills", "pauses", "seed"),
+    [
+        *((kills, 0, seed) for kills in (0, 2) for seed in range(16)),
+        *((0, 0, seed) for seed in (39, 42, 62, 134, 350, 557)),
+        *((2, 0, seed) for seed in (64, 106, 117)),
+        *((0, 2, seed) for seed in (6, 9, 64, 112, 137, 163, 285, 286)),
+        *((2, 2, seed) for seed in (25, 43, 100)),
+    ],
+)
+def test_late_joiners_get_the_same_on_both_sides(kills: int, pauses: int, seed: int) -> None:
     """For all depths and orders of events, at rest both sides keep the same.
 
     Nothing is heard twice but the newest message once a node has been killed.
@@ -358,6 +378,7 @@ def test_late_joiners_get_the_same_on_both_sides(kills: int, seed: int) -> None:
                 "far": 1,
                 "wait": 6,
                 "rest": 3,
+                "pause": pauses,
             }
             match random.choices([*events], [*events.values()])[0]:
                 case "publish" if writers:
@@ -382,9 +403,13 @@ def test_late_joiners_get_the_same_on_both_sides(kills: int, seed: int) -> None:
                     world.route.restart_far()
                 case "wait":
                     world.wait(random.expovariate(5))
+                case "pause":
+                    world.route.pause(not world.route.paused)
                 case "rest":
+                    world.route.pause(False)
                     world.wait(25)
                     assert world.far.late_joiner() == world.near_late_joiner()
+        world.route.pause(False)
         world.wait(25)
         assert world.far.late_joiner() == world.near_late_joiner()
         assert kills or len(set(world.far.heard)) == len(world.far.heard)
@@ -541,6 +566,30 @@ def test_newest_stays_until_it_can_be_sent_again(pauses: bool) -> None:
         nodes.killed.answers = True
         world.wait(3.0)
         assert world.far.late_joiner() == world.near_late_joiner()
+
+
+@pytest.mark.parametrize("after", [0.2, 2.0, 4.0, 5.5, 6.5, 8.0])
+def test_newest_is_sent_again_after_a_cut(after: float) -> None:
+    """Before the killed publisher is asked, before it is judged, and before the peer has closed its history."""
+    with virtual_loop() as loop:
+        world = World(loop, 1)
+        KilledBeside(world)
+        world.wait(after)
+        world.route.cut()
+        world.wait(12.0)
+        assert world.far.late_joiner() == world.near_late_joiner() == [b"writer 0 1", b"writer 2 1"]
+        assert world.far.heard == [b"writer 0 1", b"writer 1 1", b"writer 2 1", b"writer 2 1"]
+
+
+def test_killed_before_a_restart_is_withdrawn_too() -> None:
+    with virtual_loop() as loop:
+        world = World(loop, 1)
+        KilledBeside(world)
+        world.wait(2.0)
+        world.route.restart_near()
+        world.wait(12.0)
+        assert world.far.late_joiner() == world.near_late_joiner() == [b"writer 0 1", b"writer 2 1"]
+        assert world.far.heard[-1] == b"writer 2 1"
 
 
 def test_message_after_kill_is_not_sent_again() -> None:

@@ -236,6 +236,7 @@ class Scheduler:
             return
         if not any(each.congested for each in self._carriers):
             self.waits_since = math.inf
+            self.choose_sizes()
 
     def _continue(self) -> None:
         self._next_pass = None
@@ -327,7 +328,7 @@ class Scheduler:
         return window.every
 
     def choose_sizes(self) -> None:
-        """Choose how much goes at once: after each receipt, and whenever a stream that was congested takes bytes."""
+        """Choose how much goes at once: after a receipt, when a congested stream takes bytes, once nothing waits."""
         size, least = self.window.size, _LEAST_WRITE
         # Not only while a route is queued: all of them may have given all they had to a stream that is congested now.
         if self.waits_since < math.inf:

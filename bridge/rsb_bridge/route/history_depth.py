@@ -6,16 +6,18 @@ keeps at least as many as have come. So a short-lived second subscription (a pro
 
 A publisher that never pauses publishes while it is probed. Only what it published before the probe's first message came
 may be history, which shows its depth within few messages. No live message waits for that: each is sent with the most
-that its publisher may keep, and the peer drops what is too much as soon as it gets the depth. Only a history, or the
-first 0.3 s of a burst, waits for a moment, because with a known depth it costs the peer one publisher.
+that its publisher may keep, and the peer drops what is too much as soon as it gets the depth. Only a history, the first
+0.3 s of a publisher, or a burst of more than 16 messages waits for a moment: with a known depth it costs the peer one
+publisher, which keeps no message too many.
 
-A killed publisher's history is withdrawn once a newcomer has shown that it is silent. A late joiner on the far side may
-have heard it last, so the newest message of the other publishers is sent again.
+A killed publisher's history is withdrawn once a newcomer, or the first publisher of a new opening, has shown that it is
+silent. A late joiner on the far side may have heard it last, so the newest message of the other publishers is sent
+again, over a cut of the link, too.
 """
 
 from __future__ import annotations
 
-import hashlib
+import secrets
 from collections import deque
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
@@ -90,6 +92,7 @@ class _Publisher:
     released: bool = False  # messages are no longer held
     held: deque[tuple[RawMessage, bool]] = field(default_factory=deque)  # each with whether it was replayed
     held_size: int = 0
+    held_until: float = 0.0  # for a probe
     # Of a topic with a lifespan, the newest live messages' numbers, and when they came.
     arrivals: deque[tuple[int, float]] = field(default_factory=lambda: deque(maxlen=LATCHED_DEPTH))
     source: int = 0  # ns since the epoch, when its newest message was published
@@ -101,9 +104,42 @@ class _Publisher:
         """Whether no further probe helps: the depth is found, or the publisher never pauses or shows no history."""
         return self.at_least >= self.at_most or self.tries >= _MOST_TRIES
 
+    def awaits_depth(self, number: int) -> bool:
+        """Whether the peer needs the depth for a message: it keeps the first few alone, and later ones together."""
+        if self.exact or self.bounded:
+            return False
+        return not self.released or (self.at_least < _PROBES_EACH_UNTIL < number - self.first + 1 and not self.is_busy)
+
+    @property
+    def is_busy(self) -> bool:
+        return self.latest - self.flows_since >= _HELD_FOR - _SETTLES_AFTER
+
+    def hold(self, message: RawMessage, now: float, *, replayed: bool) -> None:
+        if not self.held:
+            self.held_until = now + _HELD_FOR
+        self.held.append((message, replayed))
+        self.held_size += len(message.payload)
+
     def wants_probe(self) -> bool:
         has_history = self.settled or self.first == 1  # with message 1, no earlier ones come
         return has_history and not self.exact and self.newest >= self.probe_at and self.gone_since is None
+
+
+@dataclass(slots=True)
+class Remembered:
+    """What a route remembers of a latched topic's publishers over its openings; histories keep it up.
+
+    Attributes:
+        taken: the newest number that was taken, by publisher.
+        other_ids: of publishers whose history was sent again: the peer knows them under these.
+        bounds: of depths, by publisher: a DDS publisher's depth never changes.
+        resends: ns since the epoch, when the newest message was published that is to be sent again, or 0.
+    """
+
+    taken: dict[bytes, int] = field(default_factory=dict)
+    other_ids: dict[bytes, bytes] = field(default_factory=dict)
+    bounds: dict[bytes, Bounds] = field(default_factory=dict)
+    resends: int = 0
 
 
 class Histories:
@@ -120,9 +156,7 @@ class Histories:
         depth: int,
         lifespan: float,
         known: Mapping[bytes, int],
-        taken: dict[bytes, int],
-        other_ids: dict[bytes, bytes],
-        bounds: Mapping[bytes, Bounds],
+        remembered: Remembered,
     ) -> None:
         """Begin without publishers.
 
@@ -134,9 +168,7 @@ class Histories:
             depth: history depth that an operator has set for all publishers, or 0 to find it out.
             lifespan: s after which publishers on either side forget a message, or 0 for never.
             known: the newest number that the peer has, by publisher.
-            taken: the newest number that was taken in the route's openings, by publisher; it is kept up here.
-            other_ids: of publishers whose history was sent again in the route's openings; they are kept up here.
-            bounds: of depths, from an earlier opening, by publisher: a DDS publisher's depth never changes.
+            remembered: of the route's earlier openings.
         """
         self._loop = loop
         self._open_probe = probe
@@ -145,9 +177,10 @@ class Histories:
         self._depth = min(depth, LATCHED_DEPTH)
         self._lifespan = lifespan
         self._known = dict(known)
-        self._taken = taken
-        self._other_ids = other_ids
-        self._bounds_before = {} if depth else dict(bounds)
+        self._remembered = remembered
+        self._bounds_before = {} if depth else dict(remembered.bounds)
+        self._in_graph: Collection[bytes] = ()
+        self._is_subscribed = False
         self._publishers: dict[bytes, _Publisher] = {}
         self._mute: Collection[bytes] = ()
         self._silent = SilentPublishers(loop, probe, self._withdraw, again)
@@ -165,15 +198,10 @@ class Histories:
             gids: of the publishers that the graph has.
             mute: those of them that give a new subscription no history, alive or not (`Endpoint.is_durable`).
         """
-        self._mute = mute
+        self._in_graph, self._mute = gids, mute
         left = {*gids, *self._forget_gone(gids)} - self._silent.silent
         depths = {gid: each.at_most for gid, each in self._publishers.items() if each.exact}
         return {self._id(gid): depths.get(gid, 0) for gid in left}
-
-    def bounds(self) -> dict[bytes, Bounds]:
-        """Return the bounds of the depths, by publisher, as far as any are known."""
-        known = {gid: each for gid, each in self._publishers.items() if each.at_most < LATCHED_DEPTH}
-        return self._bounds_before | {publisher_id(gid): (each.at_least, each.at_most) for gid, each in known.items()}
 
     # --- messages
 
@@ -183,7 +211,7 @@ class Histories:
         new, again, known, samples = 0, 0, 0, list[Sample]()
         for message in batch:
             publisher = self._seen(message, now)
-            is_first = note_taken(self._taken, message)
+            is_first = note_taken(self._remembered.taken, message)
             # DDS hands over the whole history to each new subscription. The peer has this message, or will get it.
             if message.number and message.number <= publisher.taken:
                 known += is_first
@@ -195,10 +223,9 @@ class Histories:
             if not message.number:  # it gets one here, so that a message that overtakes it on the way stays the newest
                 publisher.taken += 1
             # The first one is never held: its publisher keeps at least one.
-            goes_on = publisher.released or publisher.bounded or publisher.exact or self._depth or self._lifespan
-            if message.number > 1 and not goes_on:
-                publisher.held.append((message, replayed))
-                publisher.held_size += len(message.payload)
+            is_awaited = publisher.awaits_depth(message.number) and not (self._depth or self._lifespan)
+            if message.number > 1 and (publisher.held or is_awaited):
+                publisher.hold(message, now, replayed=replayed)
             else:
                 number = message.number or publisher.taken
                 depth = self._depth_of(publisher, message.number)
@@ -210,15 +237,23 @@ class Histories:
 
     def resubscribed(self) -> None:
         """Expect all histories again, because the subscription was reopened."""
+        self._is_subscribed = True
         for publisher in self._publishers.values():
             publisher.first = 0
             publisher.settled = publisher.exact
+            publisher.flows_since = self._loop.time()
             publisher.arrivals.clear()
         self._silent.go_on()
+        if self._remembered.resends and self._resends is None:
+            self._send_newest_later(self._remembered.resends)
 
     def unsubscribed(self) -> None:
-        """Keep no further subscription open while the topic is not subscribed to."""
+        """Keep no further subscription open while the topic is not subscribed to, and hold nothing up for a probe."""
+        self._is_subscribed = False
         self._silent.close()
+        self._end_probe()
+        for publisher in self._publishers.values():
+            self._release(publisher)
 
     def _forget_gone(self, present: Collection[bytes]) -> Collection[bytes]:
         """Forget publishers that have ended; return the others that have been heard."""
@@ -226,9 +261,9 @@ class Histories:
         if self._bounds_before:
             here = {publisher_id(gid) for gid in present}
             self._bounds_before = {gid: each for gid, each in self._bounds_before.items() if gid in here}
-        for gid in [gid for gid in self._taken if gid not in present and gid not in self._publishers]:
-            del self._taken[gid]
-            self._other_ids.pop(gid, None)
+        for gid in [gid for gid in self._remembered.taken if gid not in present and gid not in self._publishers]:
+            del self._remembered.taken[gid]
+            self._remembered.other_ids.pop(gid, None)
         for gid, publisher in tuple(self._publishers.items()):
             if gid in present:
                 publisher.gone_since = None
@@ -238,7 +273,7 @@ class Histories:
             # A publisher that still sends is there, even if the graph has lost it.
             if now - max(publisher.latest, publisher.gone_since) > _ENDED_AFTER:
                 del self._publishers[gid]
-                self._other_ids.pop(gid, None)
+                self._remembered.other_ids.pop(gid, None)
         self._silent.forget_gone({*present, *self._publishers})
         return self._publishers
 
@@ -251,6 +286,9 @@ class Histories:
                 timer.cancel()
         self._timer = self._resends = None
         held = sum(len(publisher.held) for publisher in self._publishers.values())
+        known = {gid: each for gid, each in self._publishers.items() if each.at_most < LATCHED_DEPTH}
+        bounds = {publisher_id(gid): (each.at_least, each.at_most) for gid, each in known.items()}
+        self._remembered.bounds = self._bounds_before | bounds
         self._publishers.clear()
         return held
 
@@ -286,8 +324,7 @@ class Histories:
             return self._depth
         if not number:
             return AUTO_DEPTH
-        is_busy = publisher.latest - publisher.flows_since >= _HELD_FOR - _SETTLES_AFTER
-        if publisher.exact or publisher.bounded or self._lifespan or is_busy:
+        if publisher.exact or publisher.bounded or self._lifespan or publisher.is_busy:
             return publisher.at_most  # with a lifespan the peer's publishers forget as quickly
         return min(number - publisher.first + 1, publisher.at_most)
 
@@ -295,26 +332,29 @@ class Histories:
         return Sample(HistoryHeader(self._id(message.gid), number, depth), message, replayed)
 
     def _id(self, gid: bytes) -> bytes:
-        return self._other_ids.get(gid) or publisher_id(gid)
+        return self._remembered.other_ids.get(gid) or publisher_id(gid)
 
     # --- killed publishers
 
     def _doubt_others(self, newcomer: RawMessage) -> None:
-        """Ask whether the other publishers answer: a newcomer may replace a killed one."""
+        """Ask whether the other publishers answer: a newcomer may replace a killed one, also of an earlier opening."""
         if not newcomer.number or self._lifespan:  # the peer's publishers forget what has expired, too
             return
-        if others := self._publishers.keys() - {newcomer.gid, *self._mute}:
+        unheard = {gid for gid in self._in_graph if self._id(gid) in self._known}
+        if others := (self._publishers.keys() | unheard) - {newcomer.gid, *self._mute}:
             self._silent.ask(newcomer.gid, others)
 
     def _withdraw(self) -> None:
         for gid in self._silent.silent:
             self._publishers.pop(gid, None)
+            self._known.pop(self._id(gid), None)
         self._found()
         if self._resends is not None:
             self._resends.cancel()
         self._send_newest_later(max((each.source for each in self._publishers.values()), default=0))
 
     def _send_newest_later(self, newest: int) -> None:
+        self._remembered.resends = newest
         self._resends = self._loop.call_later(_WITHDRAWN_AFTER, self._send_newest_again, newest)
 
     def _send_newest_again(self, newest_then: int) -> None:
@@ -325,15 +365,17 @@ class Histories:
         Args:
             newest_then: ns since the epoch, when the newest message at the withdrawal was published.
         """
-        self._resends = None
+        self._resends, self._remembered.resends = None, 0
         gid, newest = max(self._publishers.items(), key=lambda item: item[1].source, default=(b"", None))
         if newest is None or newest.source > newest_then:
             return
-        # The peer drops what has the former id, so that id stays until there is something to replace it.
-        if not self._silent.hear_again(gid):
+        # The peer drops what has the former id, so that id stays until there is something to replace it. One that is
+        # asked may have to be withdrawn before.
+        if self._silent.asks or not self._silent.hear_again(gid):
             self._send_newest_later(newest_then)
             return
-        self._other_ids[gid] = hashlib.blake2b(self._id(gid), digest_size=PUBLISHER_ID_LENGTH).digest()
+        # Of the present id, an earlier process of this side may have made the same one.
+        self._remembered.other_ids[gid] = secrets.token_bytes(PUBLISHER_ID_LENGTH)
         newest.taken = newest.first = 0
         newest.settled = newest.exact
         self._found()
@@ -349,7 +391,7 @@ class Histories:
             # Without numbers, or with a given depth, a probe has no question.
             if not publisher.first or self._depth:
                 continue
-            releases_at = publisher.began + _HELD_FOR
+            releases_at = max(publisher.began + _HELD_FOR, publisher.held_until)
             if len(publisher.held) >= _HELD or publisher.held_size > QUEUE_BYTES:
                 releases_at = now
             if not publisher.settled:
@@ -358,7 +400,7 @@ class Histories:
                 due += [] if publisher.settled else [settles_at]
             if publisher.held:
                 # If message 1 is there, a probe finds no depth either. Few messages may cost a publisher each.
-                few = len(publisher.held) <= _PROBES_EACH_UNTIL
+                few = publisher.newest <= max(_PROBES_EACH_UNTIL, publisher.at_least)
                 if now >= releases_at or (publisher.settled and publisher.first == 1 and few):
                     self._release(publisher)
                 else:
@@ -366,8 +408,11 @@ class Histories:
             publisher.released = publisher.released or now >= releases_at
             if publisher.wants_probe():
                 wanted[gid] = publisher.newest
-        # One at a time, for all publishers: each second subscription has DDS send all histories once more.
-        if wanted and self._probe is None:
+        # One at a time, for all publishers: each second subscription has DDS send all histories once more. Messages
+        # that are held do not wait for publishers that may have gone without a word.
+        if self._probe is not None and any(self._publishers[gid].held and self._probe.is_past(gid) for gid in wanted):
+            self._finish_probe(self._probe)
+        if wanted and self._probe is None and self._is_subscribed:
             self._start_probe(wanted, now)
         if self._probe is not None:
             due.append(self._probe.until)
@@ -398,8 +443,8 @@ class Histories:
         self._end_probe()
         found = False
         for gid, target in probe.wanted.items():
-            publisher = self._publishers.get(gid)
-            if publisher is not None and not publisher.exact:
+            publisher, awaited = self._publishers.get(gid), gid not in probe.found and self._loop.time() < probe.until
+            if publisher is not None and not publisher.exact and not awaited:
                 self._judge(publisher, target, probe.found.get(gid, _NOTHING))
                 found = found or publisher.exact
         if found:
@@ -475,6 +520,10 @@ class _Probe:
     subscription: Subscription | None = None
     found: dict[bytes, _Found] = field(default_factory=dict)  # what has come, by publisher
     is_complete: bool = False
+
+    def is_past(self, gid: bytes) -> bool:
+        """Whether it only waits for publishers other than this one."""
+        return not self.is_complete and self.found.get(gid, _NOTHING).last >= self.wanted.get(gid, 0)
 
     def receive(self, batch: Sequence[RawMessage], now: float) -> None:
         """Take messages. Once all wanted numbers have come, the probe ends a moment later, even if more come."""

@@ -101,6 +101,7 @@ class _History:
 
     seen_at: float  # s, when it was last seen
     newest: int = 0  # number of its newest message that came here
+    depth: int = 0  # that the sender has found, in this opening or an earlier one, or 0
     was_present: bool = False  # in this opening, so that its absence means its end
     outputs: list[_OutputHistory] = field(default_factory=list)  # the publishers here that have its messages
     # Until an output is discovered, or has delivered what it published before.
@@ -196,6 +197,7 @@ class LatchedTopic:
         for publisher, depth in publishers.items():
             if (history := self._histories.get(publisher)) is not None:
                 history.seen_at, history.was_present = now, True
+                history.depth = depth or history.depth
                 if depth:
                     self._drop_older(history, history.newest - depth)
 
@@ -256,8 +258,8 @@ class LatchedTopic:
         history.seen_at = now
         number = header.number or history.newest + 1
         # A depth that the sender has found since also holds for messages that it sent before.
-        found = self._present.get(header.publisher, 0)
-        depth = min(header.depth, found or LATCHED_DEPTH)
+        found = self._present.get(header.publisher, 0) or history.depth
+        depth = found or min(header.depth, LATCHED_DEPTH)
         output = self._output_for(history, number, depth, is_found=depth == found)
         waits = self.is_busy or bool(history.waiting) or not self._is_next(history, output, now)
         # Only now, as a history without outputs would have the spare publisher closed, the topic's last one.

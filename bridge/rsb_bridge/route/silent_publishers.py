@@ -56,8 +56,13 @@ class SilentPublishers:
     def ask(self, newcomer: bytes, others: Collection[bytes]) -> None:
         """Ask the other publishers; they are judged once the newcomer has answered."""
         self.close()
-        self._newcomer, self._asked = newcomer, {*others} - self.silent
+        self._newcomer, self._asked = newcomer, self._asked.union(others) - self.silent - {newcomer}
         self._timer = self._loop.call_later(_ASKED_AFTER, self._open)
+
+    @property
+    def asks(self) -> bool:
+        """Whether publishers that are asked have not answered yet, nor are silent."""
+        return bool(self._asked)
 
     def hear_again(self, publisher: bytes) -> bool:
         """Have one publisher's history sent once more, and return whether it will be."""

@@ -17,7 +17,7 @@ from rsb_bridge.model.snapshot import Level
 from rsb_bridge.ros.lasting_subscription import LastingSubscription
 from rsb_bridge.ros.publication_numbers import PublicationNumbers, Untaken
 from rsb_bridge.ros.ros_interface import BATCH, RosError
-from rsb_bridge.route.history_depth import Histories, note_taken
+from rsb_bridge.route.history_depth import Histories, Remembered, note_taken
 from rsb_bridge.route.lease import Marker
 from rsb_bridge.route.peer_budget import TypeUse
 from rsb_bridge.route.route import promised_keep
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.ros.ros_interface import OnFailure, RawMessage, Subscription, TopicSpec
-    from rsb_bridge.route.history_depth import Bounds
     from rsb_bridge.route.loop_filter import LoopFilter
     from rsb_bridge.route.route import Route
     from rsb_bridge.route.sending import OutgoingPath
@@ -78,9 +77,7 @@ class TopicSubscription:
         self._receiver = _Receiver(path.offer)
         self._subscription: LastingSubscription | None = None
         self._depth = 0
-        self._taken: dict[bytes, int] = {}  # the newest numbers of a latched topic's publishers
-        self._other_ids: dict[bytes, bytes] = {}  # of those whose history was sent again: the peer knows it under these
-        self._bounds: dict[bytes, Bounds] = {}  # of the depths of a latched topic's publishers
+        self._remembered = Remembered()  # of a latched topic
         self._lost_seen = 0
         self._unmatched_ticks = 0
 
@@ -107,9 +104,7 @@ class TopicSubscription:
                 depth=0 if self._is_automatic else kept,
                 lifespan=spec.qos.lifespan,
                 known=known,
-                taken=self._taken,
-                other_ids=self._other_ids,
-                bounds=self._bounds,
+                remembered=self._remembered,
             )
 
     def subscribe(self, *, missed: bool) -> None:
@@ -148,19 +143,18 @@ class TopicSubscription:
 
     def close(self) -> int:
         """End the opening, drop the messages that the histories hold, and return their number."""
-        self.unsubscribe()
         self._receiver.offer = self._path.too_late  # they may be older than what arms the next opening
         held = 0
         if self.histories is not None:
             self._receiver.offer = self._latched_too_late
-            self._bounds = self.histories.bounds()
             held = self.histories.close()
         self.spec = self.histories = None
+        self.unsubscribe()
         return held
 
     def _latched_too_late(self, batch: Sequence[RawMessage]) -> None:
         for message in batch:  # the next opening's subscription brings them again
-            note_taken(self._taken, message)
+            note_taken(self._remembered.taken, message)
         self._path.too_late(batch)
 
     @property

@@ -7,7 +7,7 @@ import textwrap
 import time
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import msgspec
 from textual import work
@@ -64,6 +64,25 @@ class ViewText(Wording):
     NOT_DRAWN = "the picture cannot be drawn: {error}"
     NO_PICTURE = "there is no picture yet"
     NO_MAP = "a goal needs a map with a frame"
+    OUTSIDE = "that place is outside of the map: click on the map, or move the goal with the arrows"
+
+
+class SeenMap(NamedTuple):
+    """A map on the screen.
+
+    Attributes:
+        scale: its place in the world, by cells of the pane.
+        columns: cells of the pane that it fills, the last one in part.
+        rows: the same.
+    """
+
+    scale: Scale
+    columns: float
+    rows: float
+
+    def has(self, column: int, row: int) -> bool:
+        """Whether the middle of a cell is on it."""
+        return column + 0.5 <= self.columns and row + 0.5 <= self.rows
 
 
 class PictureTile(Tile):
@@ -111,7 +130,7 @@ class PictureTile(Tile):
         """Why the newest image cannot be drawn, or an empty string."""
         self._waiting = ""
         """The publishing side's reason why no picture has come yet."""
-        self._seen: Scale | None = None
+        self._seen: SeenMap | None = None
         """The place of the map in sight in the world, by cells of the pane: it may have been made for another size."""
         self._showing = asyncio.Lock()
         self._changes = self._drawn = 0
@@ -216,7 +235,7 @@ class PictureTile(Tile):
                         await self.show_image(self._image, wish, blocks, few_colours=self._look.strain > 0)
                     else:
                         self._blocks = await asyncio.to_thread(blocks)
-                    self._seen = _seen_scale(content, frame_of(self._image, wish))
+                    self._seen = _seen_map(content, frame_of(self._image, wish))
                 except UnreadableError as error:
                     self._unreadable, self._blocks = str(error), []
                 except Exception as error:  # noqa: BLE001 -- a stranger's picture must not end the console
@@ -240,7 +259,7 @@ class PictureTile(Tile):
                 content, self._wish.width, self._wish.height, colours=self._look.colours, cursor=self._cursor
             )
             rows = self._goal.marked(rows, self._scale, self._wish.width)
-            self._seen = self._scale
+            self._seen = _seen_map(content)
         if not (is_image and self._look.shows_pixels) or self._unreadable:
             self.show(rows or self._reason())
         self._entitle()
@@ -369,17 +388,21 @@ class PictureTile(Tile):
         """Begin to set a goal in the middle of the map."""
         if self.console.readonly or _PUBLISH is None:
             return
-        if (scale := self._scale) is None:
+        if self._scale is None or (seen := self._seen) is None:
             self.notify(ViewText.NO_MAP(), severity="warning", markup=False)
             return
-        self._goal.begin(scale, self._wish.width, self._wish.height)
+        self._goal.begin(*seen)
         self._redraw()
 
     def on_picture_pane_clicked(self, event: Tile.Clicked) -> None:
         """Put the goal where the operator clicks."""
-        if self._goal.goal is not None and self._seen is not None and not self._unreadable:
-            self._goal.put(self._seen, event.column, event.row)
-            self._redraw()
+        if self._goal.goal is None or (seen := self._seen) is None or self._unreadable:
+            return
+        if not seen.has(event.column, event.row):
+            self.notify(ViewText.OUTSIDE(), severity="warning", markup=False)
+            return
+        self._goal.put(seen.scale, event.column, event.row)
+        self._redraw()
 
     def action_place(self) -> None:
         """Go on to the goal's heading, and then to the form that publishes it."""
@@ -437,14 +460,16 @@ def _sets_of_layers(subject: Subject) -> list[tuple[str, ...]]:
     return [*dict.fromkeys((others[:most], (*costs[:2], *others)[:most], ()))]
 
 
-def _seen_scale(content: Cells | Pixels | Series, frame: Extent) -> Scale | None:
-    """Return the place of a map in the world by cells of the pane, of which its image fills these."""
+def _seen_map(content: Cells | Pixels | Series, frame: Extent | None = None) -> SeenMap | None:
+    """Return a map as it is seen, in its own cells or as an image in this part of the pane; None if it is no map."""
     if not isinstance(content, Cells) or (scale := content.scale) is None:
         return None
     columns, rows = max(map(len, content.rows), default=0), len(content.rows)
-    return msgspec.structs.replace(
-        scale, column=scale.column * columns / frame.width, row=scale.row * rows / frame.height
-    )
+    width, height = (columns / content.fine, rows / content.fine) if frame is None else frame[2:]
+    if not width or not height:
+        return None
+    seen = msgspec.structs.replace(scale, column=scale.column * columns / width, row=scale.row * rows / height)
+    return SeenMap(seen, width, height)
 
 
 def _is_points(type_name: str) -> bool:

@@ -363,7 +363,7 @@ def goal_of(app: ConsoleApp) -> Goal:
 async def test_goal_begins_in_middle_and_moves_by_cells(app: ConsoleApp, pilot: Pilot[None]) -> None:
     before = await comes(pilot, viewed(MAP))
     await pilot.press("g")
-    column, row = before.width / 2, before.height / 2
+    column, row = 20, 10
     assert goal_of(app) == Goal.at(SCALE, column, row)
     assert says(title(app), GoalText.PLACE, frame="map")
     await pilot.press("right", "right", "down", "left", "up", "up")
@@ -408,6 +408,23 @@ async def test_a_click_puts_the_goal_into_its_cell(app: ConsoleApp, pilot: Pilot
     assert goal_of(app).cell(SCALE) == (first[0] + 3, first[1] + 2)
     pane = screen_of(app).pane
     assert first == (12 - (pane.content_region.x - pane.region.x), 7 - (pane.content_region.y - pane.region.y))
+
+
+@pytest.mark.parametrize("beside", [(40, 7), (12, 20)])
+@looking()
+async def test_click_beside_a_small_map_puts_no_goal(
+    app: ConsoleApp, pilot: Pilot[None], beside: tuple[int, int]
+) -> None:
+    """The map fills 40 columns and 20 rows of its tile."""
+    await comes(pilot, viewed(MAP))
+    await pilot.press("g")
+    pane, before = screen_of(app).pane, goal_of(app)
+    frame = pane.content_region.offset - pane.region.offset
+    await pilot.click(PictureTile, offset=(beside[0] + frame.x, beside[1] + frame.y))
+    await notified(pilot, ViewText.OUTSIDE)
+    assert goal_of(app) == before
+    await pilot.click(PictureTile, offset=(39 + frame.x, 19 + frame.y))
+    assert goal_of(app).cell(SCALE) == (39, 19)
 
 
 @looking()
