@@ -222,6 +222,9 @@ class Half(Protocol):
             learns: as `Facts.learns`.
         """
 
+    def is_well(self, now: float) -> bool:
+        """Whether `measure` has found nothing that one of its rules would name, as far as `signs` do not tell."""
+
     def act(self, now: float, crossing: Crossing) -> None:
         """Do what follows from the new verdict. Called last in a tick; may advance, or have the route opened again."""
 

@@ -311,6 +311,9 @@ class Receiver:
         # Histories of publishers that have gone are dropped, and nodes are asked for the description of a type.
         return self.flow.is_latched or (bool(self.carried.type_name) and self.check.checker is None)
 
+    def is_well(self, now: float) -> bool:
+        return self.flow.is_well(now) and not self.listeners.unmatched
+
     def act(self, now: float, crossing: Crossing) -> None:
         self.flow.act(now, awaited=crossing.flows)
         self.outputs.tick()

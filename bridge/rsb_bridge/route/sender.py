@@ -329,6 +329,13 @@ class Sender:
         if self.route.age.only_newest or self.flow.left_out.is_on:
             self.flow.left_out.judge(ledger, now)
 
+    def is_well(self, now: float) -> bool:
+        # Of several publishers, a verdict tells once there is a rhythm.
+        return (
+            self.health.finds_nothing and self.flow.is_well(now) and not self.backlog.exists
+            and len(self.carried.endpoints) == 1
+        )  # fmt: skip
+
     def act(self, now: float, crossing: Crossing) -> None:
         profile_rate = (self.route.peer.profile.max_rate or 0.0) if self._profile_limits else 0.0
         if self.route.limit.set_profile_rate(profile_rate) and self.route.id:

@@ -126,6 +126,9 @@ class CallsHalf:
         malformed = self.facts.last_malformed()
         return self.flow.report, end.unavailable(), end.warning, end.offered, malformed, end.nodes()
 
+    def is_well(self, now: float) -> bool:
+        return False  # each call may be the last for long, and nothing measures calls
+
     def next_change(self, now: float, crossing: Crossing) -> float:
         return math.inf if self.kind.goals is None else now  # goals have times of their own, and a robot few actions
 
