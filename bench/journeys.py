@@ -74,7 +74,7 @@ class TopicJourneys(Yard):
     async def measure(self) -> None:
         # As a topic that nobody hears is a fault.
         Reader(self.server.domain, "/node", f"/{self._name}/chat", STRING, hash_of(STRING), Qos(), lambda _: None)
-        for _ in range(40):
+        for _ in range(120):  # until it has settled (`rsb_bridge.route.idling.SETTLES`)
             self._writer.publish(_MESSAGE)
             await asyncio.sleep(0.25)
         for on_server, name in ((False, "tick, sending side"), (True, "tick, receiving side")):

@@ -33,7 +33,7 @@ from rsb_bridge.wire.messages import (
     Refuse,
     Report,
 )
-from rsb_bridge.wire.records import ReceivedReport, SentReport, Source
+from rsb_bridge.wire.records import ReceivedCounts, SentCounts, Source
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -128,8 +128,8 @@ def questions(target: Target, tally: Tally) -> None:
 def oversize(target: Target, tally: Tally) -> None:
     causes = {f"cause_{number:04}": number for number in range(32)}
     # 0.8 MB of the 1 MiB that is the limit of a control message.
-    sent, received = SentReport(route=1, dropped=causes), ReceivedReport(route=1, dropped=causes)
-    large = Report(sent=(sent,) * ROUTES_PER_LINK, received=(received,) * ROUTES_PER_LINK)
+    sent, received = SentCounts(route=1, dropped=causes), ReceivedCounts(route=1, dropped=causes)
+    large = Report(sent_counts=(sent,) * ROUTES_PER_LINK, received_counts=(received,) * ROUTES_PER_LINK)
 
     def say(rogue: Rogue) -> Iterable[ControlMessage]:
         _drained(rogue)

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from tests.support.domain import Domain
 
     from rsb_bridge.model.session import Direction
-    from rsb_bridge.wire.records import ReceivedReport
+    from rsb_bridge.wire.records import ReceivedCounts
 
 CMD_VEL = Topic("/cmd_vel", "receive", type="std_msgs/msg/String")
 
@@ -194,9 +194,10 @@ def test_peer_that_sends_too_fast_is_throttled(bridge: Bridge, monkeypatch: pyte
         for _ in range(50):
             stream.sendall(write_frame(writer, b"\0\1\0\0", 0, 0))
 
-        def counted() -> ReceivedReport:
-            report = rogue.wait_for(Report)
-            return next(iter(report.received))
+        def counted() -> ReceivedCounts:
+            while not (report := rogue.wait_for(Report)).received_counts:
+                pass
+            return report.received_counts[0]
 
         eventually(lambda: counted().dropped.get("throttled", 0) >= 48)
     assert happened(server, EventCode.ROUTE_TOO_FAST)

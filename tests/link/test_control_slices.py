@@ -31,7 +31,7 @@ from rsb_bridge.wire.codec import (
 from rsb_bridge.wire.events import MessageReceived
 from rsb_bridge.wire.messages import Describe, Ping, Report
 from rsb_bridge.wire.protocol_error import ProtocolError
-from rsb_bridge.wire.records import CallsReport, ReceivedReport, SentReport, Source
+from rsb_bridge.wire.records import CallsReport, ReceivedReport, SentCounts, Source
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -44,8 +44,8 @@ DROPPED = {f"cause_{number:04}": number for number in range(32)}
 
 def long_report(entries: int = ROUTES_PER_LINK) -> Report:
     """A report of some 400 kB, and the last entry of which is another one."""
-    last = SentReport(route=1, offered=12345, delivered=12345)
-    return Report(sent=(SentReport(route=1, dropped=DROPPED),) * (entries - 1) + (last,), received=())
+    last = SentCounts(route=1, offered=12345, delivered=12345)
+    return Report(sent_counts=(SentCounts(route=1, dropped=DROPPED),) * (entries - 1) + (last,))
 
 
 class Stream:
@@ -112,21 +112,21 @@ def test_report_of_400_kb_is_read_in_slices() -> None:
     ping = Ping(1, 0)
     peer = Peer([MessageReceived(encode(ping)), MessageReceived(data), MessageReceived(encode(ping))], entries_of)
     peer.run(ROUTES_PER_LINK + 2)
-    size = len(msgspec.msgpack.encode(SentReport(route=1, dropped=DROPPED)))
+    size = len(msgspec.msgpack.encode(SentCounts(route=1, dropped=DROPPED)))
     assert peer.most <= BYTES // size + 3
-    assert peer.done == [ping, *long_report().sent, ping]
+    assert peer.done == [ping, *long_report().sent_counts, ping]
     assert not peer.stream.paused
 
 
 @pytest.mark.parametrize(
     "message",
     [
-        Report(sent=(), received=(ReceivedReport(route=1),) * ROUTES_PER_LINK),
-        Report(sent=(), received=(), calls=(CallsReport(route=1),) * 500),
+        Report(received=(ReceivedReport(route=1),) * ROUTES_PER_LINK),
+        Report(calls=(CallsReport(route=1),) * 500),
     ],
 )
 def test_short_entries_are_worked_off_by_number(message: Any) -> None:
-    entries = [*message.sent, *message.received, *message.calls]
+    entries = [*message.sent_counts, *message.received, *message.calls]
     peer = Peer([MessageReceived(encode(message))], entries_of)
     peer.run(len(entries))
     assert peer.done == entries
@@ -139,7 +139,7 @@ def test_long_messages_take_one_turn_each() -> None:
         peer = Peer([MessageReceived(encode(message))] * 100, entries_of)
         peer.run(100)
         assert peer.most <= (1 if isinstance(message, Describe) else 8)
-    report = encode(Report(sent=(SentReport(route=1, dropped=DROPPED),) * 18, received=()))
+    report = encode(Report(sent_counts=(SentCounts(route=1, dropped=DROPPED),) * 18))
     assert WHOLE - 1000 < len(report) <= WHOLE
     peer = Peer([MessageReceived(report)] * 20, entries_of)
     peer.run(20 * 18)
@@ -168,7 +168,7 @@ async def flood(channel: ControlChannel, size: int, every: float, seconds: float
 @pytest.mark.parametrize("entries", [500, 63])
 async def test_entries_come_no_faster_than_thousand_routes_report(loop: VirtualLoop, entries: int) -> None:
     done: list[object] = []
-    report = Report(sent=(SentReport(route=1),) * entries, received=())
+    report = Report(sent_counts=(SentCounts(route=1),) * entries)
     channel, _ = receives([report], lambda each: entries_of(each, done.append))
     every = 0.002 if entries < ENTRIES else 0.01
     burst, rate = 40_000, 10_000  # docs/budgets.md
@@ -209,7 +209,7 @@ def test_reported_routes_have_limit_of_link() -> None:
 
 def test_an_entry_that_is_invalid_ends_the_connection() -> None:
     wrong = msgspec.to_builtins(long_report())
-    wrong["sent"][-1]["route"] = 0
+    wrong["sent_counts"] = (*wrong["sent_counts"][:-1], (0,))
     peer = Peer([MessageReceived(msgspec.msgpack.encode({"message": "report", **wrong}))], entries_of)
     peer.run(ROUTES_PER_LINK)
     assert peer.stream.aborted
@@ -237,7 +237,7 @@ def unbounded(kind: inspect.Type, where: str) -> list[str]:
 def test_all_other_lists_in_control_messages_are_short() -> None:
     """A new list needs a limit, or parts of its own (`rsb_bridge.wire.codec`)."""
     found = {each for kind in control_messages() for each in unbounded(inspect.type_info(kind), kind.__name__)}
-    assert found == {"Report.sent", "Report.received", "Report.calls"}
+    assert found == {"Report.sent", "Report.received", "Report.calls", "Report.sent_counts", "Report.received_counts"}
 
 
 def test_real_link_takes_whole_of_long_report(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -246,9 +246,9 @@ def test_real_link_takes_whole_of_long_report(bridge: Bridge, monkeypatch: pytes
     with Rogue(bridge.port, read_key(bridge.folder / bridge.key_file).secret) as rogue:
         route = rogue.route("/long", "tcp", Qos())
         report = long_report()
-        entries = tuple(msgspec.structs.replace(entry, route=route) for entry in report.sent)
-        rogue.say(Report(sent=entries, received=()))
+        entries = tuple(msgspec.structs.replace(entry, route=route) for entry in report.sent_counts)
+        rogue.say(Report(sent_counts=entries))
         eventually(lambda: [each.ledger.offered for each in server.snapshot().routes] == [12345])
         assert linked(server)
-        rogue.say(msgspec.structs.replace(report, sent=entries * 2))
+        rogue.say(msgspec.structs.replace(report, sent_counts=entries * 2))
         eventually(lambda: any(event.code == EventCode.LINK_LOST for event in server.events()))

@@ -11,6 +11,7 @@ import msgspec
 import pytest
 from tests.link.arming_helpers import CONSOLE, arm, events, let_time_pass, propose, route
 from tests.link.route_table_helpers import hear_all, pair_of
+from tests.support.reports import told_counts
 
 from rsb_bridge.cdr.known_types import resting, stamped, velocity_of
 from rsb_bridge.model.calls import FieldError
@@ -537,9 +538,8 @@ def test_the_velocity_that_the_robot_has_is_reported(driven: Driven) -> None:
     there = route(driven.pair[1])
 
     def shown() -> list[tuple[float, float] | None]:
-        report = driven.receiver.news()
-        if report is not None:
-            there.half.reported(report)
+        if (counts := told_counts(driven.receiver)) is not None:
+            there.half.counted(counts)
         found = [each.snapshot().arming for each in (driven.receiver.route, there)]
         return [None if each is None else each.velocity for each in found]
 

@@ -10,6 +10,7 @@ from tests.route.gates_helpers import armed
 from tests.route.loop_filter_helpers import FIRST, SCAN, SECOND, Graph, World, world, world_of
 from tests.support.judged import topic_verdict
 from tests.support.offline import half_of
+from tests.support.reports import told_words
 
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
@@ -22,7 +23,7 @@ from rsb_bridge.ros.ros_interface import Endpoint, RawMessage
 from rsb_bridge.route.combined_verdict import Announcer
 from rsb_bridge.route.crossing import Crossing
 from rsb_bridge.route.receiver import Receiver
-from rsb_bridge.wire.records import DriverRecord, ReceivedReport, SentReport
+from rsb_bridge.wire.records import DriverRecord, ReceivedCounts, ReceivedReport, SentReport
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -71,7 +72,8 @@ def moves(world: World) -> None:
     for number in range(50):
         if number % 10 == 0:
             count = len(world.sent)
-            world.sender.reported(ReceivedReport(route=1, received=count, delivered=count, newest=count, subscribers=1))
+            world.sender.reported(ReceivedReport(route=1, subscribers=1))
+            world.sender.counted(ReceivedCounts(route=1, received=count, delivered=count, newest=count))
             world.sender.route.tick()
         for gid in (FIRST, SECOND)[: 1 + number % 2]:
             if gid in world.graph.nodes:
@@ -147,8 +149,7 @@ def test_hands_and_links_are_told_from_nodes(driven: World) -> None:
 def test_other_side_is_told_and_tells(driven: World) -> None:
     moves(driven)
     looked(driven)
-    report = driven.sender.news()
-    assert report is not None
+    report = told_words(driven.sender)
     assert {each.name: each.rate for each in report.drivers} == {"/talker": pytest.approx(10.0, abs=1.0)}
     assert says(driven) == FINE
     driven.sender.reported(ReceivedReport(route=1, drivers=(DriverRecord("/nav"),)))
@@ -190,8 +191,7 @@ def test_receiver_names_drivers_beside_its_link(
     receiver.route.advance()
     assert tuple(each.name for each in receiver.route.snapshot().drivers) == named
     records = tuple(DriverRecord(each) for each in named)
-    report = receiver.news()
-    assert report is not None
+    report = told_words(receiver)
     assert report.drivers == records
 
 

@@ -11,6 +11,7 @@ from tests.route.gates_helpers import armed, leased
 from tests.route.loop_filter_helpers import FIRST, SECOND, World, world
 from tests.route.unpacking_helpers import OnePublisher, opened
 from tests.support.offline import FakePeer, half_of
+from tests.support.reports import told_counts
 from tests.support.virtual_time import set_clock
 
 from rsb_bridge.model.calls import Refused
@@ -397,8 +398,7 @@ def test_gate_counts_from_next_message_while_on(
     assert published() == passed
     off(receiver.route)
     assert published() == 5
-    report = receiver.news()
-    assert report is not None
+    report = told_counts(receiver)
     assert (report.received, report.delivered) == (15, 10 + passed)
     assert report.dropped == {cause: 5 - passed}
 
@@ -436,8 +436,7 @@ def test_message_of_unknown_arming_is_not_published(
     armed(receiver.route.arming, receiver.route.context)
     receiver.deliver([(b"moves", 0, 0), (b"1", 0, LEASED)])
     assert not ros.published.sizes
-    report = receiver.news()
-    assert report is not None
+    report = told_counts(receiver)
     assert report.dropped == {"disarmed": 4}
 
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from tests.support import replaced
 from tests.support.offline import FakePeer, half_of
+from tests.support.reports import told_words
 
 from rsb_bridge.model.capacity import Fullness
 from rsb_bridge.model.session import Topic
@@ -77,7 +78,7 @@ def test_feature_is_asked_once_for_both_sides(make_context: Callable[..., Contex
         half.route.judge_again()
         assert half.route.verdict().cause == "watch.bent"
         for _ in range(3):
-            report = half.news()
+            report = told_words(half)
             assert report is None or report.verdict is None or report.verdict.cause != "watch.bent"
         assert asked == [half.route]
 
@@ -130,8 +131,7 @@ def test_sender_knows_of_messages_before_start(make_context: Callable[..., Conte
         route.on_accepted()
     assert not sender.facts.came_before
     receiver.route.meter.last = receiver.route.opened_at - 46.0
-    report = receiver.news()
-    assert report is not None
+    report = told_words(receiver)
     sender.reported(report)
     assert sender.facts.came_before
     assert receiver.facts.came_before

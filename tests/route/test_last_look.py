@@ -12,6 +12,7 @@ from tests.route.unpacking_helpers import OnePublisher, Published, opened
 from tests.route.volatile_helpers import unwanted
 from tests.support.inside import outputs_of, refusal_of
 from tests.support.offline import FakePeer
+from tests.support.reports import told_counts
 
 from rsb_bridge.model.calls import SEND_GOAL, Refused
 from rsb_bridge.route.arming import Disarmed
@@ -90,8 +91,7 @@ def test_message_that_aged_towards_dds_is_dropped(
     stand(receiver, ros, loop, seconds)
     receiver.deliver([(with_number(number, LONG), context.stamps.now(), LEASED)])
     assert len(ros.published.sizes) == count
-    report = receiver.news()
-    assert report is not None
+    report = told_counts(receiver)
     assert (report.received, report.delivered, report.dropped.get("disarmed", 0)) == (1, count, 1 - count)
 
 

@@ -17,7 +17,7 @@ from rsb_bridge.route.ledger import RouteLedger
 from rsb_bridge.route.receiver import Receiver
 from rsb_bridge.route.sender import Sender
 from rsb_bridge.wire.messages import Describe, Ready
-from rsb_bridge.wire.records import ReceivedReport, SentReport, Source, VerdictRecord
+from rsb_bridge.wire.records import ReceivedCounts, SentCounts, SentReport, Source, VerdictRecord
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 counts = st.one_of(st.integers(-3, 12), st.integers(-(2**63), 2**64 - 1))
 causes = st.dictionaries(st.text("abc", max_size=4), counts, max_size=32)
 reports = st.builds(
-    ReceivedReport,
+    ReceivedCounts,
     route=st.integers(1, 4),
     received=counts,
     delivered=counts,
@@ -96,7 +96,7 @@ def test_no_report_makes_part_negative_or_sum_wrong(taken: list[tuple[Any, ...]]
 def test_true_reports_are_taken_as_they_are(sent: list[int], lost: list[int]) -> None:
     """Openings of one process, each with some messages lost: the ledger says what the receiver counted."""
     ledger, delivered = RouteLedger(), 0
-    before: ReceivedReport | None = None
+    before: ReceivedCounts | None = None
     for number, count in enumerate(sent):
         route_id = 2 * number + 1
         ledger.opened(route_id, "first")
@@ -106,7 +106,7 @@ def test_true_reports_are_taken_as_they_are(sent: list[int], lost: list[int]) ->
         arrived = max(0, count - (lost[number] if number < len(lost) else 0))
         delivered += arrived
         if arrived:
-            before = ReceivedReport(route=route_id, received=arrived, delivered=arrived, newest=count)
+            before = ReceivedCounts(route=route_id, received=arrived, delivered=arrived, newest=count)
         ledger.closed()
     ledger.settle(before, "first")
     final = ledger.ledger({})
@@ -122,7 +122,7 @@ def test_other_process_cannot_settle_opening() -> None:
     ledger.sent(5)
     ledger.closed()
     ledger.opened(1, "second")
-    assert ledger.settle(ReceivedReport(route=1, received=131, delivered=131, newest=131), "second")
+    assert ledger.settle(ReceivedCounts(route=1, received=131, delivered=131, newest=131), "second")
     assert (ledger.ledger({}).dropped, ledger.ledger({}).unknown) == ({}, 5)
 
 
@@ -142,7 +142,7 @@ def test_messages_too_old_anywhere_are_expired(over: bool) -> None:
     ledger = opened("first", 20)
     ledger.offered += 4
     ledger.expired += 4
-    report = ReceivedReport(route=1, received=18, delivered=15, expired=2, newest=20, dropped={"expired": 3})
+    report = ReceivedCounts(route=1, received=18, delivered=15, expired=2, newest=20, dropped={"expired": 3})
     if over:
         ledger.closed()
         assert ledger.settle(report, "first")
@@ -156,7 +156,7 @@ def test_messages_too_old_anywhere_are_expired(over: bool) -> None:
 def test_what_a_receiver_has_forgotten_is_unknown() -> None:
     """Its half was removed and added: it reported some, and knows of none."""
     ledger = opened("first", 10)
-    ledger.reported(ReceivedReport(route=1, received=4, delivered=4, newest=4), 0)
+    ledger.reported(ReceivedCounts(route=1, received=4, delivered=4, newest=4), 0)
     ledger.closed()
     ledger.settle(None, "first")
     balance = ledger.ledger({})
@@ -167,11 +167,11 @@ def test_what_a_receiver_has_forgotten_is_unknown() -> None:
 def test_datagrams_lost_stay_lost_after_link(instance: str, rest: dict[str, int]) -> None:
     """The count of drops falls neither when the opening ends nor when it is settled."""
     ledger = opened("first", 20, lossy=True)
-    ledger.reported(ReceivedReport(route=1, received=11, delivered=11, newest=14), 0)
+    ledger.reported(ReceivedCounts(route=1, received=11, delivered=11, newest=14), 0)
     assert ledger.ledger({}).dropped == {"lost on the way": 3}
     ledger.closed()
     assert ledger.ledger({}).dropped == {"lost on the way": 3}
-    ledger.settle(None if rest == {} else ReceivedReport(route=1, received=11, delivered=11, newest=14), instance)
+    ledger.settle(None if rest == {} else ReceivedCounts(route=1, received=11, delivered=11, newest=14), instance)
     balance = ledger.ledger({})
     assert balance.dropped == {"lost on the way": 3, **rest}
     assert (balance.unknown, balance.in_flight) == (0 if rest else 6, 0)
@@ -189,7 +189,7 @@ def test_what_is_not_sent_waits() -> None:
 def test_goodbye_leaves_nothing_unknown(reported: int) -> None:
     ledger = opened("first", 10)
     if reported:
-        ledger.reported(ReceivedReport(route=1, received=reported, delivered=reported, newest=reported), 0)
+        ledger.reported(ReceivedCounts(route=1, received=reported, delivered=reported, newest=reported), 0)
     ledger.receiver_left()
     ledger.closed()
     ledger.opened(1, "second")
@@ -207,7 +207,7 @@ def test_receiver_tells_counts_to_sending_process_only(make_context: Callable[..
     peer = FakePeer()
     receiver = half_of(Receiver, make_context(role="server", ros=OnePublisher()), topic, peer, here=False)
 
-    def counted_before(number: int) -> ReceivedReport | None:
+    def counted_before(number: int) -> ReceivedCounts | None:
         """Open the route again; return its report of the opening before."""
         if receiver.route.id:
             receiver.route.close("the link was lost")
@@ -230,7 +230,7 @@ def test_impossible_report_is_said_once_and_ends_nothing(make_context: Callable[
     sender = half_of(Sender, context, topic)
     sender.route.open(1)
     for delivered in (131, -1, 2**63):
-        sender.reported(ReceivedReport(route=1, delivered=delivered, latency_p50=float("nan"), jitter=1e300))
+        sender.counted(ReceivedCounts(route=1, delivered=delivered, latency_p50=float("nan"), jitter=1e300))
     assert [event.code for event in context.events.after(0)] == [EventCode.ROUTE_IMPLAUSIBLE_REPORT]
     assert (sender.flow.latency.p50, sender.flow.latency.jitter) == (None, None)
     check(sender.facts.ledger)
@@ -256,8 +256,9 @@ def test_a_sender_s_impossible_ledger_is_not_shown(
     context = make_context(role="server")
     receiver = half_of(Receiver, context, topic, here=False)
     receiver.route.open(1)
-    receiver.reported(SentReport(route=1, offered=7, delivered=4, unknown=2, in_flight=1))
-    receiver.reported(SentReport(route=1, verdict=VerdictRecord("down", "slow", "still told"), **wrong))
+    receiver.counted(SentCounts(route=1, offered=7, delivered=4, unknown=2, in_flight=1))
+    receiver.reported(SentReport(route=1, verdict=VerdictRecord("down", "slow", "still told")))
+    receiver.counted(SentCounts(route=1, **wrong))
     assert (receiver.facts.ledger.offered, receiver.facts.ledger.delivered, receiver.facts.ledger.unknown) == (7, 4, 2)
     assert receiver.route.judged.peer.text == "still told"
     assert [event.code for event in context.events.after(0)] == [EventCode.ROUTE_IMPLAUSIBLE_REPORT]

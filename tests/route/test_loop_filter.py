@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 from tests.route.loop_filter_helpers import FIRST, SCAN, SECOND, TYPE, TYPE_HASH, World, world
+from tests.support.reports import told_words
 
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.names import hop
@@ -134,8 +135,7 @@ def test_awaited_publisher_is_no_failure_elsewhere(world: World) -> None:
     world.sender.route.on_accepted()
     world.sender.route.tick()
     assert "announce" in world.sender.route.snapshot().reason
-    report = world.sender.news()
-    assert report is not None
+    report = told_words(world.sender)
     assert report.verdict is not None
     assert (report.verdict.state, report.verdict.cause) == (State.WAITING, Cause.NO_MESSAGE)
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from tests.route.missed_while_down_helpers import NumberedGraph, counts, reopen, world
+from tests.support.reports import told_counts
 
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.reason import EndCode, Reason
@@ -30,8 +31,7 @@ def test_messages_of_each_outage_are_missed(world: World) -> None:
         assert counts(world) == (total - 11, 100), "only a further message tells"
         publish(world, 2, heard=True)
         assert counts(world) == (total, 100)
-    report = world.sender.news()
-    assert report is not None
+    report = told_counts(world.sender)
     assert (report.missed_while_down, report.unsubscribed) == (22, 100)
 
 

@@ -10,6 +10,7 @@ from tests.route.gates_helpers import armed
 from tests.route.unpacking_helpers import HUGE, HeldLoop, OnePublisher, grown, opened, reopened
 from tests.support.inside import outputs_of
 from tests.support.offline import FakePeer
+from tests.support.reports import told_counts
 
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.route.arming import Disarmed
@@ -68,8 +69,7 @@ class Side:
         return self.ros.published.sizes
 
     def counts(self) -> tuple[int, int, dict[str, int]]:
-        report = self.receiver.news()
-        assert report is not None
+        report = told_counts(self.receiver)
         return report.received, report.delivered, report.dropped
 
     def settle(self) -> None:

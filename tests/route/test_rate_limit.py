@@ -13,7 +13,7 @@ from tests.support.offline import FakePeer
 from rsb_bridge.route.gates import NO_SAMPLE, rate_gate
 from rsb_bridge.route.ledger import THROTTLED, RouteLedger
 from rsb_bridge.route.rate_limit import AllowedRates, RateLimit, Throttle
-from rsb_bridge.wire.records import ReceivedReport
+from rsb_bridge.wire.records import ReceivedCounts
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -94,7 +94,7 @@ def test_receivers_omissions_are_throttled_in_senders_ledger() -> None:
     ledger.opened(1, "there")
     ledger.offered = 10
     ledger.sent(10)
-    report = ReceivedReport(
+    report = ReceivedCounts(
         route=1, received=10, delivered=3, expired=0, incomplete=0, newest=10, dropped={THROTTLED: 7}
     )
     assert ledger.reported(report, 0.0)

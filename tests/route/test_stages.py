@@ -15,7 +15,7 @@ from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause, Verdict
 from rsb_bridge.route.receiver import Receiver
 from rsb_bridge.route.sender import Sender
-from rsb_bridge.wire.records import ReceivedReport, SentReport, VerdictRecord
+from rsb_bridge.wire.records import ReceivedReport, SentCounts, SentReport, VerdictRecord
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -113,7 +113,8 @@ def test_receiver_knows_what_sender_has_reported(make_context: Callable[..., Con
     nobody = "no publisher of /chat in domain 3; did you mean /chatter?"
     half.reported(SentReport(route=1, verdict=VerdictRecord("waiting", Cause.SIMILAR_NAME, nobody)))
     assert stages_of(half)["publisher seen"].detail == nobody
-    half.reported(SentReport(route=1, publishers=1, subscribed=True, offered=3, in_flight=3))
+    half.reported(SentReport(route=1, publishers=1, subscribed=True))
+    half.counted(SentCounts(route=1, offered=3, in_flight=3))
     stages = stages_of(half)
     done = {name for name, each in stages.items() if each.done}
     assert {"publisher seen", "subscribed", "sent"} <= done

@@ -1,5 +1,7 @@
 """The oracle of `route.idling`: a half that is ticked when it is due does what one that is ticked each second does.
 
+The other one is judged at each tick, too, even if it stays fine.
+
 Random lives of one half are lived twice, for forty minutes each: the same happens to both at the same times, and their
 verdicts, events and rates are compared each second.
 """
@@ -11,6 +13,7 @@ from math import inf
 from random import Random
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
+from unittest.mock import patch
 
 import pytest
 from tests.route.idle_routes_helpers import TALKER, Channel
@@ -26,6 +29,7 @@ from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause, LinkCause
 from rsb_bridge.ros.publication_numbers import PublicationNumbers
 from rsb_bridge.route.receiver import Receiver
+from rsb_bridge.route.route import Route
 from rsb_bridge.route.sender import Sender
 from rsb_bridge.route.topic_facts import SenderFacts
 from rsb_bridge.wire.records import ReceivedReport, SentReport, VerdictRecord
@@ -176,7 +180,8 @@ def live(seed: int) -> int:
         for _ in range(_LIFE):
             by_event.second()
             polled.second()
-            polled.half.route.tick()
+            with patch.object(Route, "_stays_fine", lambda *_: False):
+                polled.half.route.tick()
             if by_event.peer.timetable.look(loop.time()):
                 by_event.half.route.tick()
             idle += by_event.half.route.idle
@@ -213,6 +218,8 @@ MUTATIONS: list[tuple[Place, object]] = [
     (replaced.LASTING, property(lambda _: False)),
     (replaced.HALF_CHANGES, _never),
     (replaced.TOPIC_CHANGES, _never),
+    (replaced.IS_WELL, lambda *_: True),
+    (replaced.SIGNS_LAST, lambda *_: True),
 ]
 
 

@@ -10,6 +10,7 @@ import pytest
 from tests.route.unpacking_helpers import HUGE, LARGE, HeldLoop, OnePublisher, Published, grown, loop, opened
 from tests.support import constants
 from tests.support.offline import FakePeer
+from tests.support.reports import told_counts
 
 from rsb_bridge.route.message_check import EXPANDED_ASIDE, EXPANSION_A_TURN, EXPANSION_AT_ONCE
 from rsb_bridge.wire.framing import ZSTD
@@ -107,8 +108,7 @@ def test_refused_long_message_counts_as_dropped(loop: HeldLoop, make_context: Ca
     ros.published.refuses = False
     loop.run_until_complete(asyncio.sleep(0.1))
     assert ros.published.sizes == [5]
-    report = receiver.news()
-    assert report is not None
+    report = told_counts(receiver)
     assert (report.delivered, sum(report.dropped.values())) == (1, 1)
 
 

@@ -99,7 +99,7 @@ def polled_too() -> Iterator[Counter[str]]:
         with patch.object(Idling, "ticked"), patch.object(Context, "log", side_effect=log) as logged:
             route.tick()
         after = route.verdict(), route.judged.announced
-        if after != (before, peer_s) or logged.called or (route.id and route.half.news() is not None):
+        if after != (before, peer_s) or logged.called or (route.id and route.half.news()):
             raise Violation(f"{route.key} slept through a change: {before} {peer_s}, {after}, {logged.call_args}")
 
     def show(route: Route) -> None:

@@ -27,6 +27,8 @@ STRUCTS = {
     "Welcome": messages.Welcome,
     "Source": records.Source,
     "SentReport": records.SentReport,
+    "SentCounts": records.SentCounts,
+    "ReceivedCounts": records.ReceivedCounts,
     "ReceivedReport": records.ReceivedReport,
     "Verdict": records.VerdictRecord,
     "Deaf": records.DeafRecord,

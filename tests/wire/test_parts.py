@@ -17,21 +17,25 @@ from rsb_bridge.wire.codec import (
 )
 from rsb_bridge.wire.messages import Report
 from rsb_bridge.wire.protocol_error import ProtocolError
-from rsb_bridge.wire.records import CallsReport, ReceivedReport, SentReport, TopicEntry
+from rsb_bridge.wire.records import CallsReport, ReceivedCounts, ReceivedReport, SentCounts, SentReport, TopicEntry
 
-SENT, RECEIVED, CALLS = SentReport(route=1, offered=5), ReceivedReport(route=2, received=7), CallsReport(route=3)
+SENT, RECEIVED, CALLS = SentReport(route=1, publishers=5), ReceivedReport(route=2, subscribers=7), CallsReport(route=3)
+COUNTS_SENT, COUNTS_RECEIVED = SentCounts(route=1, offered=5), ReceivedCounts(route=2, received=7)
 TOPIC = TopicEntry("/a", "a/msg/B", "", Qos(depth=1), 1, 1)
 
 
 @pytest.mark.parametrize("times", [1, 500])
 def test_the_entries_are_those_of_the_whole(times: int) -> None:
-    report = Report(sent=(SENT,) * times, received=(RECEIVED,) * times, calls=(CALLS,) * times)
+    report = Report(
+        (SENT,) * times, (RECEIVED,) * times, (CALLS,) * times, (COUNTS_SENT,) * times, (COUNTS_RECEIVED,) * times
+    )
     data = encode(report)
     parts = decode(data)
     is_long = len(data) > WHOLE
     assert isinstance(parts, ReportParts if is_long else Report)
     found = list(report_entries(parts))
-    assert [entry for entry, _ in found] == [*report.sent, *report.received, *report.calls]
+    words = [*report.sent, *report.received, *report.calls]
+    assert [entry for entry, _ in found] == [*words, *report.sent_counts, *report.received_counts]
     assert all((size > 0) == is_long for _, size in found)
     assert sum(size for _, size in found) < len(data)
 
@@ -57,7 +61,7 @@ def test_damaged_or_long_list_is_refused(packed: bytes) -> None:
 
 
 def test_invalid_entry_is_found_when_reached() -> None:
-    wrong = msgspec.to_builtins(Report(sent=(SENT,) * 500, received=()))
+    wrong = msgspec.to_builtins(Report(sent=(SENT,) * 500))
     wrong["sent"][-1]["route"] = 0
     parts = decode(msgspec.msgpack.encode({"message": "report", **wrong}))
     assert isinstance(parts, ReportParts)

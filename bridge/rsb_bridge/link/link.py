@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING, Any, final
 
 from rsb_bridge.installed_features import added_by
 from rsb_bridge.link.base_link import BaseLink
@@ -21,9 +21,9 @@ from rsb_bridge.model.snapshot import LinkSnapshot
 from rsb_bridge.route.sender import Sender
 from rsb_bridge.tasks import in_slices
 from rsb_bridge.telemetry.meters import ClockOffset, Smoothed
-from rsb_bridge.wire.codec import ReportParts, report_entries
+from rsb_bridge.wire.codec import ReportEntry, ReportParts, report_entries
 from rsb_bridge.wire.messages import Neighbours, Report, Unsaved
-from rsb_bridge.wire.records import CallsReport, ReceivedReport, SentReport
+from rsb_bridge.wire.records import CallsReport, ReceivedCounts, ReceivedReport, SentCounts, SentReport
 
 if TYPE_CHECKING:
     import asyncio
@@ -39,6 +39,15 @@ _REPORTED_AT_ONCE = 25
 """Routes in one message. They take up to 1 ms; with the longest texts, a message has room for 250 (PROTOCOL.md, 1)."""
 _EARLY = 0.1
 """Seconds from `RouteReports.add` to the report: messages that a killed receiver had not reported count as unknown."""
+
+_LISTS = {
+    SentReport: "sent",
+    ReceivedReport: "received",
+    CallsReport: "calls",
+    SentCounts: "sent_counts",
+    ReceivedCounts: "received_counts",
+}
+"""The lists of a report, by the type of their entries."""
 
 
 class LinkTraffic(Extension):
@@ -124,12 +133,14 @@ class UnsavedChanges(Extension):
 
 
 def _report(routes: Iterable[Route]) -> Report | None:
-    """Return the counts that the peer does not know yet, or None if it knows all."""
-    news = [route.half.news() for route in routes if route.life.accepted]  # the other side may not know the others yet
-    sent = tuple(each for each in news if isinstance(each, SentReport))
-    received = tuple(each for each in news if isinstance(each, ReceivedReport))
-    calls = tuple(each for each in news if isinstance(each, CallsReport))
-    return Report(sent=sent, received=received, calls=calls) if sent or received or calls else None
+    """Return what the peer does not know yet, or None if it knows all."""
+    news: dict[type, list[Any]] = {}
+    for route in routes:
+        if route.life.accepted:  # the other side may not know the others yet
+            for each in route.half.news():
+                news.setdefault(type(each), []).append(each)
+    lists: dict[str, Any] = {name: tuple(news[kind]) for kind, name in _LISTS.items() if kind in news}
+    return Report(**lists) if lists else None
 
 
 class RouteReports(Extension):
@@ -197,7 +208,7 @@ class RouteReports(Extension):
         if self._link.linked:
             full, path = self._link.fullness.next_record(), self._link.path.next_record()
             if full is not None or path is not None:
-                self._link.send(Report(sent=(), received=(), full=full, path=path))
+                self._link.send(Report(full=full, path=path))
             self._report([*self._link.awake])
 
     def _receive(self, report: Report | ReportParts) -> Slices:
@@ -207,10 +218,14 @@ class RouteReports(Extension):
             self._link.path.take_record(report.path)
         return entries_in_slices(report_entries(report), self._receive_entry)
 
-    def _receive_entry(self, entry: SentReport | ReceivedReport | CallsReport) -> None:
+    def _receive_entry(self, entry: ReportEntry) -> None:
         route = self._link.ids.open_route(entry.route)
         # A peer may report as the half that is here.
-        if route is not None and isinstance(entry, route.half.peer_report):
+        if route is None:
+            return
+        if isinstance(entry, route.half.peer_counts):
+            route.half.counted(entry)
+        elif isinstance(entry, route.half.peer_report):
             route.half.reported(entry)
 
 

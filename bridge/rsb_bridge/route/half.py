@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from rsb_bridge.route.crossing import Crossing
     from rsb_bridge.route.idling import Signs
     from rsb_bridge.route.notices import ChannelLosses
+    from rsb_bridge.wire.codec import ReportEntry
     from rsb_bridge.wire.framing import Message
-    from rsb_bridge.wire.records import CallsReport, ReceivedReport, SentReport
 
 ChannelT = TypeVar("ChannelT", bound=DataChannel)
 
@@ -139,12 +139,14 @@ class Half(Protocol):
         outgoing: whether messages or calls come from ROS here.
         duplex: whether both sides send.
         peer_report: type of the reports that the other side's half sends.
+        peer_counts: type of the counts that it sends, or none.
         rules: of its verdict.
     """
 
     outgoing: ClassVar[bool]
     duplex: ClassVar[bool]
     peer_report: ClassVar[Any]
+    peer_counts: ClassVar[Any]
     rules: ClassVar[Rules[Any]]
 
     def __init__(self, route: Any) -> None: ...
@@ -203,11 +205,14 @@ class Half(Protocol):
     def flush(self) -> None:
         """Send more, as the channel has room again. A half that sends nothing ignores it."""
 
-    def news(self) -> SentReport | ReceivedReport | CallsReport | None:
-        """Return the report for the peer, or None if the peer knows everything. Called by `RouteReports`."""
+    def news(self) -> Sequence[ReportEntry]:
+        """Return what the peer does not know yet. Called by `RouteReports`."""
 
     def reported(self, report: Any) -> None:
         """Take a report of the peer, a `peer_report`. Called by `RouteReports`."""
+
+    def counted(self, counts: Any) -> None:
+        """Take counts of the peer, `peer_counts`. Called by `RouteReports`."""
 
     # --- time
 
@@ -217,6 +222,9 @@ class Half(Protocol):
         Args:
             learns: as `Facts.learns`.
         """
+
+    def is_well(self, now: float) -> bool:
+        """Whether `measure` has found nothing that one of its rules would name, as far as `signs` do not tell."""
 
     def act(self, now: float, crossing: Crossing) -> None:
         """Do what follows from the new verdict. Called last in a tick; may advance, or have the route opened again."""

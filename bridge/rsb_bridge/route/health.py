@@ -69,6 +69,11 @@ class Health:
         elif not self.stop.quiet:  # a pause is not slow
             self.slow.judge(route.meter.rate, expected, now)
 
+    @property
+    def finds_nothing(self) -> bool:
+        """Whether messages are neither lost nor slow nor missing."""
+        return self.losses.loss is None and self.slow.since is None and self.stop.since is None
+
     def next_change(self, now: float) -> float:
         """Return when (s) one of these may change without a message, `now` if at any moment, or infinity."""
         return now if self.losses.loss is not None or self.slow.since is not None else self.stop.next_change

@@ -35,12 +35,13 @@ class Idling:
         signs: of the last tick, the same object as long as they are equal.
     """
 
-    __slots__ = ("_settles_until", "passed", "signs", "until")
+    __slots__ = ("_changed_at", "_settles_until", "passed", "signs", "until")
 
     def __init__(self, now: float) -> None:
         self.until = now
         self._settles_until = now + SETTLES
         self.signs: Signs = ()
+        self._changed_at = now
         self.passed = 0
 
     def wake(self, now: float) -> None:
@@ -51,6 +52,10 @@ class Idling:
         """Whether the signs have changed of a route that is idle, or about to be."""
         return now < self.until and signs() != self.signs
 
+    def lasts(self, signs: Callable[[], Signs], now: float) -> bool:
+        """Whether the signs have been the same for so long that all has followed from them."""
+        return now >= self._changed_at + SETTLES and signs() == self.signs
+
     def ticked(self, signs: Signs, passed: int, now: float, next_change: Callable[[], float]) -> None:
         """Decide after a tick when the next one is.
 
@@ -59,10 +64,11 @@ class Idling:
             next_change: returns the time (s) of the next change by time alone, `now` if it may come at any moment, or
                 infinity.
         """
-        if passed != self.passed or signs != self.signs:
-            self._settles_until = now + SETTLES
         if signs != self.signs:
-            self.signs = signs
+            self.signs, self._changed_at = signs, now
+            self._settles_until = now + SETTLES
+        elif passed != self.passed:
+            self._settles_until = now + SETTLES
         self.passed = passed
         self.until = now if now < self._settles_until else next_change()
 

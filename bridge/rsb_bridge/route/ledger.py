@@ -19,7 +19,7 @@ from rsb_bridge.route.age import EXPIRED
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from rsb_bridge.wire.records import ReceivedReport, SentReport
+    from rsb_bridge.wire.records import ReceivedCounts, SentCounts
 
 _OVERDUE_AFTER = 2.0
 """s after which an unreported message counts as lost, if its channel may lose any. Reports come each second, so that a
@@ -105,7 +105,7 @@ class _Counted:
         return max(0, max(self.newest, overdue) - self.whole - self.expired - self.incomplete)
 
 
-def _within(report: ReceivedReport, sent: int) -> _Counted:
+def _within(report: ReceivedCounts, sent: int) -> _Counted:
     """Return a report's counts, each limited to `sent` minus the counts before it."""
     plausible, left = True, sent
 
@@ -251,7 +251,7 @@ class RouteLedger:
         """Count messages of the present opening that have not arrived as disarmed: the receiver drops them."""
         self._opening.lost_as = "disarmed"
 
-    def reported(self, report: ReceivedReport, now: float, delay: float = 0.0) -> bool:
+    def reported(self, report: ReceivedCounts, now: float, delay: float = 0.0) -> bool:
         """Take what the receiver counted in the present opening.
 
         Args:
@@ -269,7 +269,7 @@ class RouteLedger:
                 opening.overdue = opening.marks.popleft()[1]
         return opening.counted.plausible
 
-    def settle(self, final: ReceivedReport | None, instance: str) -> bool:
+    def settle(self, final: ReceivedCounts | None, instance: str) -> bool:
         """Close the account of the last opening in which anything was sent.
 
         Args:
@@ -348,7 +348,7 @@ class RouteLedger:
         )
 
 
-def reported_ledger(report: SentReport, now: float) -> Ledger | None:
+def reported_ledger(report: SentCounts, now: float) -> Ledger | None:
     """Return the ledger that a sender reports at `now` (s since the epoch), or None if its figures are impossible."""
     known = (report.delivered, report.throttled, report.expired, *report.dropped.values())
     parts = (*known, report.unknown, report.waiting, report.in_flight)

@@ -32,10 +32,11 @@ from rsb_bridge.route.topic_facts import ReceiverFacts, failure_of
 from rsb_bridge.route.topic_flow import TopicFlow
 from rsb_bridge.route.topic_verdict import OF_RECEIVER
 from rsb_bridge.wire.messages import Describe, Publishers, Ready, Refuse
-from rsb_bridge.wire.records import DeafRecord, ReceivedReport, SentReport
+from rsb_bridge.wire.records import DeafRecord, ReceivedCounts, ReceivedReport, SentCounts, SentReport
 
 if TYPE_CHECKING:
     import asyncio
+    from collections.abc import Sequence
 
     from rsb_bridge.route.crossing import Crossing
     from rsb_bridge.route.half import Rules
@@ -46,16 +47,6 @@ _INCOMPLETE_IN_A_ROW = 3
 """Messages given up incomplete since the last whole one. A round figure: nothing was measured. One may be bad luck."""
 _ANNOUNCED_WITHIN = 0.25
 """Seconds in which other bridges hear an announcement, which is sent and read within 0.1 s. A round figure."""
-_LATENCIES = ("latency", "latency_p50", "latency_p99")
-
-
-def _with_latencies(
-    before: SentReport | ReceivedReport | None, report: ReceivedReport
-) -> SentReport | ReceivedReport | None:
-    """Return an earlier report with the latencies of a newer one, which are no news without new messages."""
-    if not isinstance(before, ReceivedReport):
-        return before
-    return msgspec.structs.replace(before, **{name: getattr(report, name) for name in _LATENCIES})
 
 
 class Receiver:
@@ -67,6 +58,7 @@ class Receiver:
     """
 
     peer_report: ClassVar[Any] = SentReport
+    peer_counts: ClassVar[Any] = SentCounts
     outgoing: ClassVar[bool] = False
     duplex: ClassVar[bool] = False
     rules: ClassVar[Rules[Any]] = OF_RECEIVER
@@ -75,13 +67,16 @@ class Receiver:
         self.route = route
         self.carried: Carried[ReceivingChannel] = Carried()
         self.flow = TopicFlow(route, self.carried)
-        self._last_report: ReceivedReport | None = None  # the last one of the present opening
+        # The last ones of the present opening, and what the report was made of.
+        self._last_counts: tuple[object, ...] = ()
+        self._last_report: ReceivedReport | None = None
+        self._last_words: tuple[object, ...] = ()
         self.rest = RestAfterArming(self.flow)
         self.check = MessageCheck(route.context, route.peer.budget.checks)
         self.path = IncomingPath(self.flow, self.rest, self.check)
         self.outputs = self.path.outputs
         self.deliver, self.restart_measuring = self.path.deliver, self.flow.restart_measuring
-        self._before: tuple[str, ReceivedReport] | None = None
+        self._before: tuple[str, ReceivedCounts] | None = None
         self.listeners = Listeners(self.flow, self.outputs)
         self.lazy = LazyReceiver(route, self.flow, self.outputs)
         self._received_before = 0
@@ -98,7 +93,7 @@ class Receiver:
         # Nobody here hears the type of the last one's publishers, and a participant can publish no second type.
         if self.listeners.hint[0] not in ("", self.carried.type_name):
             self.outputs.close()
-        self._last_report = None
+        self._forget_reports()
         self.flow.full_at = None
 
     def close(self, reason: str) -> None:
@@ -107,7 +102,7 @@ class Receiver:
             self.path.received += 1
             self.path.delivered += 1
         if self.path.received:
-            self._before = self.route.instance, self._received_report()
+            self._before = self.route.instance, self._counts()
             self.path.received = self.path.delivered = 0
             self.path.report_at = REPORTS_AFTER
             self.path.dropped.clear()
@@ -184,7 +179,7 @@ class Receiver:
         count = self.outputs.assert_liveliness() if self.route.crossing.flows else 1
         self._asserts_again = self.route.context.loop.call_later(parts_of_lease(lease, count), self._assert_liveliness)
 
-    def _counted_before(self) -> ReceivedReport | None:
+    def _counted_before(self) -> ReceivedCounts | None:
         """Return the counts of the last opening with messages, or None if it was with another process of the peer."""
         if self._before is None or self._before[0] != self.route.peer.instance:
             return None  # another one has openings of the same ids
@@ -260,7 +255,7 @@ class Receiver:
         self.check.end()
 
     def resume(self) -> None:
-        self._last_report = None
+        self._forget_reports()
         self.flow.flows_since = self.route.context.now()  # what waited for the link is not late
         self.flow.silence.rearm(self.flow.flows_since)  # nor is its topic silent
 
@@ -322,6 +317,9 @@ class Receiver:
         asks = bool(self.carried.type_name) and self.check.checker is None
         return self.flow.is_latched or asks or self.facts.is_unpublished
 
+    def is_well(self, now: float) -> bool:
+        return self.flow.is_well(now) and not self.listeners.unmatched
+
     def act(self, now: float, crossing: Crossing) -> None:
         self.flow.act(now, awaited=crossing.flows)
         self.outputs.tick()
@@ -341,7 +339,7 @@ class Receiver:
     # --- the ledger
 
     def reported(self, report: SentReport) -> None:
-        """Take the sender's ledger, which is right for both sides."""
+        """Take what the sender knows of the present opening."""
         failed_before = failure_of(self.route.judged.peer)
         # Until the first report of an opening, the verdict is that this side waits for it.
         if self.facts.report_now is None:
@@ -358,49 +356,82 @@ class Receiver:
         failure = failure_of(self.route.judged.peer)
         if failure and failure != failed_before:
             self.route.log(Level.ERROR, EventCode.ROUTE_SUBSCRIBE_FAILED, f"on the other side: {failure}")
-        ledger = reported_ledger(report, self.route.context.wall())
+
+    def counted(self, counts: SentCounts) -> None:
+        """Take the sender's ledger, which is right for both sides."""
+        self.route.wake()
+        ledger = reported_ledger(counts, self.route.context.wall())
         if ledger is None:
             self.route.notices.doubt(self.route.peer.instance, "the last plausible ones are shown")
         else:
             self.facts.ledger = ledger
 
-    def news(self) -> ReceivedReport | None:
-        report = self._received_report()
-        before, self._last_report = self._last_report, report
+    def news(self) -> Sequence[ReceivedCounts | ReceivedReport]:
+        news: list[ReceivedCounts | ReceivedReport] = []
+        counts = self._counts()
+        before = self._last_counts
+        # Latencies are no news without new messages.
+        self._last_counts = (
+            counts.received, counts.delivered, counts.newest, counts.jitter, counts.dropped, counts.expired,
+            counts.incomplete, counts.velocity,
+        )  # fmt: skip
         # While messages are in flight the same counts are sent again: the sender counts as lost what is in no report
         # after some time.
-        awaits = self.facts.ledger.open and self.route.life.phase is RoutePhase.READY
-        if report == _with_latencies(before, report) and not awaits:
-            return None
-        verdict = lasting(report.verdict, self.route.verdict(for_peer=True), self.route.context.now())
-        return msgspec.structs.replace(report, verdict=verdict)
+        if self._last_counts != before or (self.facts.ledger.open and self.route.life.phase is RoutePhase.READY):
+            news.append(counts)
+        if (report := self._report()) is not None:
+            news.append(report)
+        return news
 
-    def _received_report(self) -> ReceivedReport:
+    def _counts(self) -> ReceivedCounts:
         counts = self.carried.channel.counts() if self.carried.channel is not None else Counts(newest=None)
-        return ReceivedReport(
+        path, latency = self.path, self.flow.latency
+        return ReceivedCounts(
             route=self.route.id,
-            received=self.path.received,
-            delivered=self.path.delivered,
+            received=path.received,
+            delivered=path.delivered,
+            newest=path.received + counts.lost if counts.newest is None else counts.newest,
+            latency=latency.recent,
+            latency_p50=latency.p50,
+            latency_p99=latency.p99,
+            jitter=latency.jitter,
+            dropped=dict(path.dropped),
             expired=counts.expired,
             incomplete=counts.incomplete,
-            newest=self.path.received + counts.lost if counts.newest is None else counts.newest,
-            dropped=dict(self.path.dropped),
-            subscribers=self.flow.audience.count,
-            wanted=self.lazy.wanted,
-            subscriber_qos=self.listeners.subscriber_qos,
-            type=self.listeners.hint[0],
-            type_hash=self.listeners.hint[1],
-            latency=self.flow.latency.recent,
-            latency_p50=self.flow.latency.p50,
-            latency_p99=self.flow.latency.p99,
-            jitter=self.flow.latency.jitter,
-            verdict=record_of(self.route.verdict(for_peer=True)),
-            nodes=self.flow.audience.nodes,
-            publishers=self.listeners.published.nodes,
-            published_as=self.listeners.published.near,
-            deaf=tuple(DeafRecord(each.node, each.cause, each.reason) for each in self.flow.audience.deaf),
-            came_before=self.facts.came_before,
-            malformed=self.path.malformed,
             velocity=self.facts.velocity if self.route.arming.required else None,
+        )
+
+    def _report(self) -> ReceivedReport | None:
+        """Return what the peer does not know beside the figures, or None if it knows all."""
+        verdict, audience, listeners = self.route.verdict(for_peer=True), self.flow.audience, self.listeners
+        came_before, drivers = self.facts.came_before, self.flow.drivers.here
+        words = (
+            verdict, audience, self.lazy.wanted, listeners.subscriber_qos, listeners.hint, listeners.published,
+            came_before, self.path.malformed, drivers,
+        )  # fmt: skip
+        if self._last_report is not None and words == self._last_words:
+            return None
+        self._last_words = words
+        report = ReceivedReport(
+            route=self.route.id,
+            subscribers=audience.count,
+            wanted=self.lazy.wanted,
+            subscriber_qos=listeners.subscriber_qos,
+            type=listeners.hint[0],
+            type_hash=listeners.hint[1],
+            verdict=record_of(verdict),
+            nodes=audience.nodes,
+            publishers=listeners.published.nodes,
+            published_as=listeners.published.near,
+            deaf=tuple(DeafRecord(each.node, each.cause, each.reason) for each in audience.deaf),
+            came_before=came_before,
+            malformed=self.path.malformed,
             drivers=self.flow.drivers.records,
         )
+        if report == self._last_report:
+            return None
+        self._last_report = report
+        return msgspec.structs.replace(report, verdict=lasting(report.verdict, verdict, self.route.context.now()))
+
+    def _forget_reports(self) -> None:
+        self._last_counts, self._last_report = (), None

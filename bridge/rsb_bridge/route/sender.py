@@ -36,7 +36,7 @@ from rsb_bridge.route.topic_flow import TopicFlow
 from rsb_bridge.route.topic_subscription import TopicSubscription
 from rsb_bridge.route.topic_verdict import OF_SENDER
 from rsb_bridge.wire.messages import Describe, Limit, Publishers, Ready
-from rsb_bridge.wire.records import MOST_PUBLISHERS, ReceivedReport, SentReport
+from rsb_bridge.wire.records import MOST_PUBLISHERS, ReceivedCounts, ReceivedReport, SentCounts, SentReport
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -61,6 +61,7 @@ class Sender:
     """
 
     peer_report: ClassVar[Any] = ReceivedReport
+    peer_counts: ClassVar[Any] = ReceivedCounts
     outgoing: ClassVar[bool] = True
     duplex: ClassVar[bool] = False
     rules: ClassVar[Rules[Any]] = OF_SENDER
@@ -69,7 +70,10 @@ class Sender:
         self.route = route
         self.carried: Carried[SendingChannel] = Carried()  # to make a `Carried[…]` takes three calls more
         self.flow = TopicFlow(route, self.carried)
-        self._last_report: SentReport | None = None  # the last one of the present opening
+        # The last ones of the present opening, and what the report was made of.
+        self._last_counts: SentCounts | None = None
+        self._last_report: SentReport | None = None
+        self._last_words: tuple[object, ...] = ()
         self._told: Publishers | None = None  # of the publishers, to the peer
         self.counts = RouteLedger()
         self._described: Describe | None = None
@@ -246,7 +250,7 @@ class Sender:
         self.counts.disarmed()
 
     def open(self) -> None:
-        self._last_report = None
+        self._forget_reports()
         # What was refused had nothing to lose before this opening.
         self._unwanted = self._unwanted or bool(self.route.reopening.refused)
         self.flow.full_at = None
@@ -328,6 +332,13 @@ class Sender:
         if self.route.age.only_newest or self.flow.left_out.is_on:
             self.flow.left_out.judge(ledger, now)
 
+    def is_well(self, now: float) -> bool:
+        # Of several publishers, a verdict tells once there is a rhythm.
+        return (
+            self.health.finds_nothing and self.flow.is_well(now) and not self.backlog.exists
+            and len(self.carried.endpoints) == 1
+        )  # fmt: skip
+
     def act(self, now: float, crossing: Crossing) -> None:
         profile_rate = (self.route.peer.profile.max_rate or 0.0) if self._profile_limits else 0.0
         if self.route.limit.set_profile_rate(profile_rate) and self.route.id:
@@ -349,7 +360,7 @@ class Sender:
         self.backlog.begin(self.counts.dropped[OUTAGE])
 
     def resume(self) -> None:
-        self._last_report = None
+        self._forget_reports()
         self.path.resume()
         self.health.losses.reset()  # the link was silent before it was away: what it dropped then is no overload
 
@@ -390,7 +401,7 @@ class Sender:
     # --- the ledger
 
     def reported(self, report: ReceivedReport) -> None:
-        """Take the peer's counts of the present opening."""
+        """Take what the peer knows of the present opening."""
         if report.malformed not in ("", self.facts.malformed):
             whose = f"{self.carried.type_name} to {self.route.peer.name}"
             text = f"malformed {whose}: {report.malformed}: see the node here that sent it"
@@ -402,54 +413,82 @@ class Sender:
         deaf = tuple(Deaf(each.node, each.cause, each.reason) for each in report.deaf)
         self.flow.audience = Audience(max(0, report.subscribers), report.nodes, deaf)
         self.route.judged.receive(report.verdict, self.route.context.now())
-        delay = self.delays.with_report(self.route.peer.keepalive.ping_delay)
-        if not self.counts.reported(report, self.route.context.now(), delay):
-            self.route.notices.doubt(self.route.peer.instance, _LIMITED)
-        if self.counts.received_now:
-            self.route.losses.arrived()
         if (report.type, report.type_hash) != self.resolver.hint:
             self.resolver.hint = TypeVersion(report.type, report.type_hash)
             self.route.advance()
-        if report.latency is not None:
-            self.delays.receive(report.latency, self.route.context.now())
-        self.flow.latency.take_reported(report.latency_p50, report.latency_p99, report.jitter)
         self._renewal.told(self.flow.audience.count, rests=self.rests)
         self.lazy.told(wanted=report.wanted)
+
+    def counted(self, counts: ReceivedCounts) -> None:
+        """Take the peer's figures of the present opening."""
+        now = self.route.context.now()
+        self.route.wake()
+        self.facts.velocity = counts.velocity
+        delay = self.delays.with_report(self.route.peer.keepalive.ping_delay)
+        if not self.counts.reported(counts, now, delay):
+            self.route.notices.doubt(self.route.peer.instance, _LIMITED)
+        if self.counts.received_now:
+            self.route.losses.arrived()
+        if counts.latency is not None:
+            self.delays.receive(counts.latency, now)
+        self.flow.latency.take_reported(counts.latency_p50, counts.latency_p99, counts.jitter)
 
     def receiver_left(self) -> None:
         """Take the peer's last report for final, as it leaves with a goodbye."""
         self.counts.receiver_left()
 
-    def news(self) -> SentReport | None:
+    def news(self) -> Sequence[SentCounts | SentReport]:
+        news: list[SentCounts | SentReport] = []
         ledger = self.facts.ledger
-        report = SentReport(
+        counts = SentCounts(
             route=self.route.id,
             offered=ledger.offered,
             delivered=ledger.delivered,
+            in_flight=ledger.in_flight,
+            waiting=ledger.waiting,
+            dropped=ledger.dropped,
             throttled=ledger.throttled,
             expired=ledger.expired,
-            waiting=ledger.waiting,
-            in_flight=ledger.in_flight,
-            dropped=ledger.dropped,
             unknown=ledger.unknown,
             lost_in_dds=ledger.lost_in_dds,
             missed_while_down=ledger.missed_while_down,
             unsubscribed=ledger.unsubscribed,
             again=ledger.again,
-            publishers=len(self.carried.endpoints),
-            publisher_qos=self.resolver.publisher_qos,
+        )
+        if counts != self._last_counts:
+            self._last_counts = counts
+            # With the age, all counts would differ from the ones before while a message waits.
+            waited = self.path.waits(self.route.context.now()) if counts.waiting else 0.0
+            news.append(msgspec.structs.replace(counts, waited=waited) if waited else counts)
+        if (report := self._report()) is not None:
+            news.append(report)
+        return news
+
+    def _report(self) -> SentReport | None:
+        """Return what the peer does not know beside the counts, or None if it knows all."""
+        verdict = self.route.verdict(for_peer=True)
+        endpoints, qos, drivers = self.carried.endpoints, self.resolver.publisher_qos, self.flow.drivers.here
+        words = verdict, endpoints, qos, self.subscription.receives, drivers
+        if self._last_report is not None and words == self._last_words:
+            return None
+        self._last_words = words
+        report = SentReport(
+            route=self.route.id,
+            publishers=len(endpoints),
+            publisher_qos=qos,
             subscribed=self.subscription.receives,
-            verdict=record_of(self.route.verdict(for_peer=True)),
-            nodes=node_names(self.carried.endpoints),
+            verdict=record_of(verdict),
+            nodes=node_names(endpoints),
             drivers=self.flow.drivers.records,
         )
         if report == self._last_report:
             return None
         self._last_report = report
-        now = self.route.context.now()
-        # With these, each report would differ from the one before.
-        verdict, waited = lasting(report.verdict, self.route.verdict(for_peer=True), now), self.path.waits(now)
-        return msgspec.structs.replace(report, verdict=verdict, waited=waited)
+        # With its duration, each verdict would differ from the one before.
+        return msgspec.structs.replace(report, verdict=lasting(report.verdict, verdict, self.route.context.now()))
+
+    def _forget_reports(self) -> None:
+        self._last_counts = self._last_report = None
 
     def takes(self, gid: bytes) -> bool:
         """Whether messages of a publisher here are taken now, or held until their origin is found out."""

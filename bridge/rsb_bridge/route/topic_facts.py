@@ -171,6 +171,8 @@ class SenderFacts(TopicFacts):
         kept_there: publishers of a latched topic whose messages the peer keeps.
     """
 
+    velocity: Velocity | None = None  # that the peer has told in the present opening
+
     def __init__(
         self,
         flow: TopicFlow,
@@ -187,7 +189,7 @@ class SenderFacts(TopicFacts):
 
     def forget(self) -> None:
         """Forget what the peer has told in an opening that is over."""
-        self.report, self.kept_there = None, ()
+        self.report, self.velocity, self.kept_there = None, None, ()
 
     @property
     def ledger(self) -> Ledger:
@@ -242,10 +244,6 @@ class SenderFacts(TopicFacts):
         if not losses.reasons or fullness.out is not None or fullness.undecided:
             return ""
         return losses.repeated
-
-    @property
-    def velocity(self) -> Velocity | None:
-        return self.report.velocity if self.report is not None else None
 
     def waiting_text(self) -> str:
         dropped = self.path.ledger.dropped[OUTAGE] - self.path.backlog.dropped_before
@@ -371,7 +369,7 @@ class ReceiverFacts(TopicFacts):
         failure = self.route.notices.loop or failure_of(peer)
         takes = report is not None and report.subscribed
         subscribed = Stage("subscribed", False if failure else takes or None, failure)
-        sent = Stage("sent", (report is not None and report.offered > 0) or kept or None)
+        sent = Stage("sent", (report is not None and self.ledger.offered > 0) or kept or None)
         undelivered = "" if path.received else self.route.notices.undelivered
         received = Stage("received", path.received > 0 or kept or None, undelivered)
         published = Stage("published", path.delivered > 0 or kept or None)

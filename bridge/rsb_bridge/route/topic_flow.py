@@ -310,6 +310,11 @@ class TopicFlow:
             changes.append(now + self.route.context.random.uniform(POLLED_EVERY / 2, POLLED_EVERY))
         return min(changes)
 
+    def is_well(self, now: float) -> bool:
+        """Whether its messages are neither late nor missing."""
+        late = self.lateness.since is not None or self.route.age.late() is not None
+        return not late and not self.silence.watch.stale(now) and not self.route.notices.undelivered
+
     def act(self, now: float, *, awaited: bool) -> None:
         """Do what follows from the new verdict."""
         if not awaited:

@@ -203,7 +203,7 @@ class SnapshotPublisher:
             each.set()
 
     def _for_the_record(self, awake: Sequence[ShownRoute]) -> list[ShownRoute]:
-        """Return the routes to renew while nobody looks: those that changed, and of the others some, for their figures."""
+        """Return the routes to renew while nobody looks: what changed, and some of the others in turn."""
         at_once = -(-len(awake) // _FIGURES_EVERY)
         first, self._figures = self._figures, (self._figures + at_once) % max(1, len(awake))
         return [

@@ -227,6 +227,9 @@ class LossWatch:
             self._marks.append((now, delivered, lost))
             return
         _, delivered_before, lost_before = self._marks[0]
+        if lost == lost_before and self.loss is None and not self._row.lost:  # nearly always
+            self._few += 1
+            return
         new = Counter(
             {cause: gained for cause, count in lost.items() if (gained := count - lost_before.get(cause, 0)) > 0}
         )
@@ -264,7 +267,7 @@ class LossWatch:
         elif lost:
             # A count falls if a message arrives after all that had been given up.
             self._row.add({cause: max(0, count - lost_before.get(cause, 0)) for cause, count in lost.items()}, now)
-        if any(count > lost_before.get(cause, 0) for cause, count in lost.items()):
+        if lost != lost_before and any(count > lost_before.get(cause, 0) for cause, count in lost.items()):
             self._lossless = self._since_loss = 0
         elif delivered > delivered_before:
             self._lossless += 1

@@ -19,7 +19,9 @@ from rsb_bridge.wire.records import (
     CallsReport,
     FullRecord,
     PathRecord,
+    ReceivedCounts,
     ReceivedReport,
+    SentCounts,
     SentReport,
     TopicEntry,
 )
@@ -30,6 +32,7 @@ if TYPE_CHECKING:
 _E = TypeVar("_E")
 _LongDecoder: TypeAlias = "msgspec.msgpack.Decoder[ControlMessageBase | ReportParts]"
 _T = TypeVar("_T")
+ReportEntry: TypeAlias = SentReport | ReceivedReport | CallsReport | SentCounts | ReceivedCounts
 _Entries: TypeAlias = Annotated[tuple[Raw, ...], Meta(max_length=ROUTES_PER_LINK)]
 
 WHOLE = 8 << 10  # bytes of any message that is decoded at once, in at most 4 ms
@@ -41,9 +44,11 @@ _NOT_PRINTABLE = f"matching regex {PRINTABLE!r}"
 class ReportParts(msgspec.Struct, frozen=True, tag_field="message", tag="report"):
     """A `rsb_bridge.wire.messages.Report` whose entries are not decoded."""
 
-    sent: _Entries
-    received: _Entries
+    sent: _Entries = ()
+    received: _Entries = ()
     calls: _Entries = ()
+    sent_counts: _Entries = ()
+    received_counts: _Entries = ()
     full: FullRecord | None = None
     path: PathRecord | None = None
 
@@ -54,6 +59,8 @@ _hello = msgspec.msgpack.Decoder(Hello)
 _welcome = msgspec.msgpack.Decoder(Welcome)
 _sent = msgspec.msgpack.Decoder(SentReport)
 _received = msgspec.msgpack.Decoder(ReceivedReport)
+_sent_counts = msgspec.msgpack.Decoder(SentCounts)
+_received_counts = msgspec.msgpack.Decoder(ReceivedCounts)
 _calls = msgspec.msgpack.Decoder(CallsReport)
 _topic = msgspec.msgpack.Decoder(TopicEntry)
 _topics: msgspec.msgpack.Decoder[tuple[Raw, ...]] = msgspec.msgpack.Decoder(
@@ -61,7 +68,7 @@ _topics: msgspec.msgpack.Decoder[tuple[Raw, ...]] = msgspec.msgpack.Decoder(
 )
 
 
-def report_entries(report: Report | ReportParts) -> Iterator[tuple[SentReport | ReceivedReport | CallsReport, int]]:
+def report_entries(report: Report | ReportParts) -> Iterator[tuple[ReportEntry, int]]:
     """Yield the entries of a report, each decoded when it is asked for, with its bytes, or 0 if it was decoded before.
 
     Raises:
@@ -70,6 +77,8 @@ def report_entries(report: Report | ReportParts) -> Iterator[tuple[SentReport | 
     yield from _decoded(report.sent, _sent)
     yield from _decoded(report.received, _received)
     yield from _decoded(report.calls, _calls)
+    yield from _decoded(report.sent_counts, _sent_counts)
+    yield from _decoded(report.received_counts, _received_counts)
 
 
 def pack_topics(entries: Sequence[TopicEntry]) -> bytes:

@@ -40,10 +40,12 @@ from rsb_bridge.wire.records import (
     Port,
     Rank,
     Reason,
+    ReceivedCounts,
     ReceivedReport,
     RefuseCode,
     RouteId,
     Seconds,
+    SentCounts,
     SentReport,
     Shift,
     Source,
@@ -183,7 +185,7 @@ class Ready(ControlMessageBase, frozen=True):
 
     route: RouteId
     sources: Count  # there are publishers for the first so many of them
-    before: ReceivedReport | None = None
+    before: ReceivedCounts | None = None
     """Counts of the last incarnation in which anything came from this process of the peer; its route id names that
     incarnation."""
     newest: NewestNumbers = msgspec.field(default_factory=dict)
@@ -249,11 +251,13 @@ class Pong(ControlMessageBase, frozen=True):
 
 
 class Report(ControlMessageBase, frozen=True):
-    """Either side: its counts, once a second."""
+    """Either side: what has changed of its routes, once a second."""
 
-    sent: tuple[SentReport, ...]  # counts of the routes that it sends on
-    received: tuple[ReceivedReport, ...]  # counts of the routes that it receives on
-    calls: tuple[CallsReport, ...] = ()  # counts of the routes of calls, in both directions
+    sent: tuple[SentReport, ...] = ()  # of the routes that it sends on
+    received: tuple[ReceivedReport, ...] = ()  # of the routes that it receives on
+    calls: tuple[CallsReport, ...] = ()  # of the routes of calls, in both directions
+    sent_counts: tuple[SentCounts, ...] = ()  # of the routes that it sends on
+    received_counts: tuple[ReceivedCounts, ...] = ()  # of the routes that it receives on
     full: FullRecord | None = None  # the rates of a full link in the direction of the message, or None if unchanged
     path: PathRecord | None = None  # what the path loses in the direction of the message, or None if unchanged
 

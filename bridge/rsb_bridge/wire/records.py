@@ -85,23 +85,29 @@ class DriverRecord(msgspec.Struct, frozen=True, omit_defaults=True):
 Drivers: TypeAlias = Annotated[tuple[DriverRecord, ...], Meta(max_length=16)]
 
 
-class SentReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """The sender's ledger of a route (`rsb_bridge.model.snapshot.Ledger`)."""
+class SentCounts(msgspec.Struct, frozen=True, array_like=True):
+    """The sender's ledger of a route (`rsb_bridge.model.snapshot.Ledger`): a list, as it is sent once a second."""
 
     route: RouteId
     offered: int = 0  # messages taken from ROS since the route was made, as for all counts here
     delivered: int = 0  # published by the receiver, according to its last report
-    throttled: int = 0  # left out because of `Propose.max_rate`
-    expired: int = 0  # datagram messages that the receiver gave up incomplete
+    in_flight: int = 0
     waiting: int = 0
     waited: float = 0.0  # s, the age of the oldest message in the queue, or 0 without any
-    in_flight: int = 0
     dropped: Causes = {}  # by cause; msgspec makes a new one for each message
+    throttled: int = 0  # left out because of `Propose.max_rate`
+    expired: int = 0  # datagram messages that the receiver gave up incomplete
     unknown: int = 0  # sent to a process that ended before it reported whether they arrived
     lost_in_dds: int = 0  # lost before the subscribed bridge could take them
     missed_while_down: int = 0  # published while the route was closed
     unsubscribed: int = 0  # published before this side subscribed first, or while the topic was not to cross
     again: int = 0  # of `offered`, messages of a latched topic that were offered before
+
+
+class SentReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """The sender's knowledge of a route, beside its counts."""
+
+    route: RouteId
     publishers: int = 0
     publisher_qos: Qos | None = None  # their combined offer, or None without publishers
     subscribed: bool = False  # whether the sender takes messages from ROS
@@ -124,26 +130,34 @@ class DeafRecord(msgspec.Struct, frozen=True):
 DeafNodes: TypeAlias = Annotated[tuple[DeafRecord, ...], Meta(max_length=16)]
 
 
-class ReceivedReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """The receiving side's counts of one incarnation of a route."""
+class ReceivedCounts(msgspec.Struct, frozen=True, array_like=True):
+    """The receiving side's figures of one incarnation of a route: a list, as it is sent once a second or more often."""
 
     route: RouteId  # route id, which names the incarnation
     received: int = 0  # whole messages that arrived
     delivered: int = 0
-    expired: int = 0  # datagram messages given up incomplete
-    incomplete: int = 0  # datagram messages that wait for fragments
     newest: int = 0  # the highest message number seen on datagrams; on streams, the messages that came or were lost
-    dropped: Causes = {}
-    subscribers: int = 0  # subscriptions that DDS has matched
-    subscriber_qos: Qos | None = None  # the combined request of all subscriptions, or None without any
-    type: Name = ""
-    """The topic's type in the receiver's graph; once the sender has described one, of the subscriptions there."""
-    type_hash: Name = ""
     latency: float | None = None
     """s, one way, of the last second's messages, corrected by the clock offset, or None without a figure."""
     latency_p50: float | None = None  # s, one way, of the last messages, or None without a figure
     latency_p99: float | None = None  # s, one way, of the last messages, or None without a figure
     jitter: float | None = None  # s (RFC 3550, 6.4.1), or None without a figure
+    dropped: Causes = {}
+    expired: int = 0  # datagram messages given up incomplete
+    incomplete: int = 0  # datagram messages that wait for fragments
+    velocity: tuple[float, float] | None = None
+    """The velocity that this side has published last on an armed topic: forward in m/s, and turn in rad/s, or None."""
+
+
+class ReceivedReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """The receiving side's knowledge of one incarnation of a route, beside its figures."""
+
+    route: RouteId  # route id, which names the incarnation
+    subscribers: int = 0  # subscriptions that DDS has matched
+    subscriber_qos: Qos | None = None  # the combined request of all subscriptions, or None without any
+    type: Name = ""
+    """The topic's type in the receiver's graph; once the sender has described one, of the subscriptions there."""
+    type_hash: Name = ""
     verdict: VerdictRecord | None = None
     wanted: bool = False  # whether this bridge itself takes them: for another link, an operator or a recording
     nodes: NodeNames = ()  # some of the nodes that hear the topic
@@ -152,8 +166,6 @@ class ReceivedReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tr
     published_as: Name = ""  # the similar name under which `publishers` do, or empty if it is the topic's own
     came_before: bool = False  # whether messages came in an earlier incarnation, and none in this one
     malformed: Reason = ""  # the field of the last malformed message, and what is wrong with it, or empty
-    velocity: tuple[float, float] | None = None
-    """The velocity that this side has published last on an armed topic: forward in m/s, and turn in rad/s, or None."""
     drivers: Drivers = ()  # if the topic moves a robot, its publishers beside this link
 
     def __post_init__(self) -> None:

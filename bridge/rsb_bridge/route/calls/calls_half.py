@@ -19,6 +19,8 @@ from rsb_bridge.route.combined_verdict import lasting, node_names, record_of
 from rsb_bridge.wire.records import CallsReport
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from rsb_bridge.route.calls.asked_calls import AskedCalls, CallerKind
     from rsb_bridge.route.calls.call_frames import TakesFrames
     from rsb_bridge.route.calls.calls_end import CallsEnd
@@ -41,6 +43,7 @@ class CallsHalf:
     """
 
     peer_report: ClassVar[Any] = CallsReport
+    peer_counts: ClassVar[Any] = ()
     rules: ClassVar[Rules[Any]] = OF_CALLS
     duplex: ClassVar[bool] = True
     rests: ClassVar[bool] = False
@@ -123,6 +126,9 @@ class CallsHalf:
         malformed = self.facts.last_malformed()
         return self.flow.report, end.unavailable(), end.warning, end.offered, malformed, end.nodes()
 
+    def is_well(self, now: float) -> bool:
+        return False  # each call may be the last for long, and nothing measures calls
+
     def next_change(self, now: float, crossing: Crossing) -> float:
         return math.inf if self.kind.goals is None else now  # goals have times of their own, and a robot few actions
 
@@ -136,7 +142,10 @@ class CallsHalf:
         route.wake()
         route.judged.receive(report.verdict, route.context.now())
 
-    def news(self) -> CallsReport | None:
+    def counted(self, counts: Any) -> None:
+        """Gets none: calls have no counts of their own."""
+
+    def news(self) -> Sequence[CallsReport]:
         route, malformed, verdict = self.route, self.types.last_malformed, self.route.verdict(for_peer=True)
         given, waiting = (0, 0) if route.outgoing else self.facts.end.at_node()
         report = CallsReport(
@@ -151,6 +160,6 @@ class CallsHalf:
         )
         # Without the verdict's duration, which is another one each second.
         if report == self._last_report:
-            return None
+            return ()
         self._last_report = report
-        return msgspec.structs.replace(report, verdict=lasting(report.verdict, verdict, route.context.now()))
+        return (msgspec.structs.replace(report, verdict=lasting(report.verdict, verdict, route.context.now())),)
