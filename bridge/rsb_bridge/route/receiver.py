@@ -313,8 +313,10 @@ class Receiver:
 
     @property
     def _is_polled(self) -> bool:
-        # Histories of publishers that have gone are dropped, and nodes are asked for the description of a type.
-        return self.flow.is_latched or (bool(self.carried.type_name) and self.check.checker is None)
+        # Histories of publishers that have gone are dropped, nodes are asked for the description of a type, and a
+        # subscription may get no name.
+        asks_for_type = bool(self.carried.type_name) and self.check.checker is None
+        return self.flow.is_latched or asks_for_type or self.listeners.awaits_name
 
     def act(self, now: float, crossing: Crossing) -> None:
         self.flow.act(now, awaited=crossing.flows)
