@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
+from tests.support import constants
 from tests.support.bridge import heard, route
 from tests.support.domain import text
 from tests.support.waiting import eventually
@@ -27,7 +28,7 @@ from rsb_bridge.route.topic_verdict import PUBLISHED_NOTHING
 pytest.importorskip("cyclonedds", reason="cyclonedds is not installed: it has wheels for Python 3.11 to 3.13")
 
 from cyclonedds.core import Policy
-from tests.support.cyclone import KEYED, XCDR2, CycloneProgram
+from tests.support.cyclone import KEYED, TIME, XCDR2, CycloneProgram
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -276,3 +277,18 @@ def test_reader_that_asks_for_more_durability_is_named(bridge: Bridge, robot: Do
         found = route(server, "/durable")
         assert (found.state, is_wrong(found)) == ("unheard", True)
         assert f"asks for {DURABLE}" in found.reason
+
+
+def test_nameless_subscription_of_another_type_is_a_note(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    """As ros2-client's subscriptions to /clock, which nobody can correct."""
+    with closing(CycloneProgram(pc.id, is_node=True)) as far:
+        server, client = bridge.both(Topic("/ticks", "transmit"))
+        crossed(_StockWriter(robot.publisher("/ticks")), _StockReader(pc.listener("/ticks")), ["a"])
+        far.reader("/ticks", USUAL, TIME)
+        for side in server, client:
+            eventually(lambda side=side: route(side, "/ticks").cause == Cause.TYPE_CONFLICT)
+            assert is_wrong(route(side, "/ticks"))
+        with constants.NAMED_WITHIN.during(0.0):
+            for side in server, client:
+                eventually(lambda side=side: route(side, "/ticks").state == "ok")
+                assert "of no known node has builtin_interfaces/msg/Time" in route(side, "/ticks").reason

@@ -27,6 +27,7 @@ from tests.route.topic_verdict_helpers import (
 )
 from tests.support.judged import topic_verdict
 
+from rsb_bridge.model.audience import Audience
 from rsb_bridge.model.capacity import Fullness
 from rsb_bridge.model.faults import PathFault
 from rsb_bridge.model.limits import REASON_LENGTH
@@ -63,6 +64,7 @@ APART = Reason("max_rate 5", EndCode.LISTED_DIFFERENTLY)
 DATA_OUT, PIPE = Reason(OUT, EndCode.TIMED_OUT), Reason("Broken pipe", EndCode.BROKE)
 DENIED, STUCK = Reason("denied"), Verdict(State.DOWN, Cause.NO_PATH, "stuck")
 MAPPER, ODD = endpoint("/map", LATCHED), endpoint("/odd", type_name=INT)
+NOBODYS, HEARD = endpoint("", type_name=INT), Audience(1, ("/rviz",))
 KEYED = TALKER._replace(gid=bytes(15) + b"\x07")
 CAMERA: dict[str, Any] = {
     "endpoints": [endpoint("/camera", BEST_EFFORT, IMAGE)], "type_name": IMAGE, "qos": BEST_EFFORT,
@@ -179,6 +181,11 @@ def test_a_route_that_flows_is_fine() -> None:
         (RECEIVER, {"qos": BEST_EFFORT}, State.UNHEARD, Cause.QOS_INCOMPATIBLE, ["/rviz ", "reliable", "best_effort"]),
         (RECEIVER, {"endpoints": [TALKER, MAPPER]}, State.UNHEARD, Cause.QOS_INCOMPATIBLE,
          ["/map ", "transient_local"]),
+        (RECEIVER, {"endpoints": [endpoint("/rviz"), NOBODYS], "nameless": [b""], "audience": HEARD}, State.OK,
+         Cause.TYPE_CONFLICT, ["/rviz", "of no known node", INT]),
+        (RECEIVER, {"endpoints": [endpoint("/rviz"), NOBODYS], "audience": HEARD}, State.UNHEARD,
+         Cause.TYPE_CONFLICT, [INT]),
+        (RECEIVER, {"endpoints": [NOBODYS], "nameless": [b""]}, State.UNHEARD, Cause.TYPE_CONFLICT, [INT]),
         (RECEIVER, {"endpoints": [ODD]}, State.UNHEARD, Cause.TYPE_CONFLICT, ["/odd ", INT, STRING]),
         (RECEIVER, {"endpoints": [ODD], "type_before": INT, "publisher_nodes": ("/lidar",)}, State.UNHEARD,
          Cause.TYPE_CONFLICT, [f"/lidar publishes {STRING} now, /odd has {INT} as before: correct the publisher"]),

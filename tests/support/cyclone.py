@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from cyclonedds.core import Policy, Qos
 from cyclonedds.domain import DomainParticipant
-from cyclonedds.idl import make_idl_struct
+from cyclonedds.idl import make_idl_struct, types
 from cyclonedds.pub import DataWriter, Publisher
 from cyclonedds.sub import DataReader, Subscriber
 from cyclonedds.topic import Topic
@@ -37,21 +37,29 @@ _TYPE = "std_msgs::msg::dds_::String_"
 STRING = make_idl_struct("String", _TYPE, {"data": str})
 KEYED = make_idl_struct("String", _TYPE, {"data": str}, field_annotations={"data": {"key": True}})
 """Among the policies of an endpoint: its type is a String whose text is a key."""
+TIME = make_idl_struct("Time", "builtin_interfaces::msg::dds_::Time_", {"sec": types.int32, "nanosec": types.uint32})
+"""Another type, in the same place."""
+_OTHER_TYPES = (KEYED, TIME)
 XCDR2 = Policy.DataRepresentation(use_xcdrv2_representation=True)
 
 
 class CycloneProgram:
-    """One participant."""
+    """One participant.
 
-    def __init__(self, domain_id: int) -> None:
-        self._participant: Any = DomainParticipant(domain_id)
+    Args:
+        is_node: whether it looks to ROS like a node that has not told its name.
+    """
+
+    def __init__(self, domain_id: int, *, is_node: bool = False) -> None:
+        enclave = [Policy.Userdata(b"enclave=/;")] if is_node else []
+        self._participant: Any = DomainParticipant(domain_id, qos=Qos(*enclave))
         self._endpoints: list[CycloneWriter | CycloneReader] = []
 
     def writer(self, topic: str, qos: model.Qos = _USUAL, *more: Any) -> CycloneWriter:
         """Write to a topic.
 
         Args:
-            more: policies of Cyclone that ROS does not have, or `KEYED`.
+            more: policies of Cyclone that ROS does not have, `KEYED` or `TIME`.
         """
         given, type_, partition = _given(qos, more)
         group = Publisher(self._participant, qos=partition)
@@ -102,9 +110,11 @@ class CycloneReader:
 
 def _given(qos: model.Qos, more: tuple[Any, ...]) -> tuple[Qos, Any, Qos]:
     """Return the QoS of an endpoint, its type, and the QoS of the group that it is in."""
-    policies = {each.__scope__: each for each in (*_policies(qos), *(each for each in more if each is not KEYED))}
+    policies = {
+        each.__scope__: each for each in (*_policies(qos), *(each for each in more if each not in _OTHER_TYPES))
+    }
     partition = Qos(*(each for each in more if isinstance(each, Policy.Partition)))
-    return Qos(*policies.values()), KEYED if KEYED in more else STRING, partition
+    return Qos(*policies.values()), next((each for each in more if each in _OTHER_TYPES), STRING), partition
 
 
 def _policies(qos: model.Qos) -> Iterator[Any]:

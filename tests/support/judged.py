@@ -55,6 +55,7 @@ _OF_TOPIC: dict[str, Any] = {
     "unmatched": False,
     "refused": False,
     "sizes": (),
+    "nameless": (),
     "sent": 0,
     "undelivered": "",
     "audience": NOBODY,
@@ -135,6 +136,7 @@ def topic_half(now: float = 0.0, **facts: Any) -> Any:
     half.was_full_since = lambda since: known["loss_of_full_link"]
     half.why, half.datagrams = _always(known["why_unresolved"]), _always(known["datagrams"])
     half.failure, half.is_unmatched = known["subscribe_failed"], known["unmatched"]
+    half.is_nameless = known["nameless"].__contains__
     half.refuses = half.refused = known["refused"]
     half.ends = _always((known["publisher_nodes"], None, None))
     half.proposal = SimpleNamespace(compression=known["compression"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.cdr.known_types import CLOCK
@@ -32,6 +33,8 @@ _ASKED_EVERY = 0.9
 `link.graph_watch` looks once more, when the graph has settled."""
 _MATCHED_WITHIN = 2.0
 """s. A round figure: DDS matches a subscription that it lists within milliseconds."""
+_NAMED_WITHIN = 60.0
+"""s after which an endpoint without a node's name gets none any more. A round figure: it takes seconds at most."""
 _REASON_LENGTH = 200
 """Characters for which a node is deaf: a report to the other side has room for hundreds of routes."""
 OF_MANY = frozenset(
@@ -186,6 +189,7 @@ class Listeners:
         self.published = PublishedAs()
         self._unmatched_since: float | None = None  # s, since when DDS lists subscriptions and matches none
         self._asked_at = float("-inf")
+        self._nameless: dict[bytes, float] = {}  # subscriptions without a node's name, and since when (s)
 
     def _look_for_drivers(self) -> None:
         drivers = self._flow.drivers
@@ -199,6 +203,15 @@ class Listeners:
         """Whether DDS has listed subscriptions for a while and matches none."""
         since = self._unmatched_since
         return since is not None and self._route.context.now() > since + _MATCHED_WITHIN
+
+    @property
+    def awaits_name(self) -> bool:
+        """Whether a subscription has no node's name yet, and may still get one."""
+        return any(not self.is_nameless(gid) for gid in self._nameless)
+
+    def is_nameless(self, gid: bytes) -> bool:
+        """Whether a subscription gets no node's name any more, so that nobody knows whose it is."""
+        return self._route.context.now() >= self._nameless.get(gid, math.inf) + _NAMED_WITHIN
 
     def look_without_publisher(self) -> None:
         """Find the type that the subscriptions have, while nothing is published here, and who else drives."""
@@ -249,6 +262,7 @@ class Listeners:
             self._unmatched_since = None
         elif not matched and self._unmatched_since is None:
             self._unmatched_since = now
+        self._nameless = {each.gid: self._nameless.get(each.gid, now) for each in endpoints if not each.node}
         # The sender's publishers may have left, and an operator there may publish by hand.
         self.hint = agreed_type(endpoints)
         self.subscriber_qos = match_subscriptions([each.qos for each in endpoints]) if endpoints else None

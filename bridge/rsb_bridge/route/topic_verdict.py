@@ -346,8 +346,11 @@ def _subscribers(half: ReceiverFacts, crossing: Crossing) -> Verdict | None:
     qos = half.listeners.offered
     if qos is None or not (half.route.life.described and half.carried.type_name):
         return None
+    beyond = _beyond_correction(half)
     deaf = {
-        each: why for each in half.carried.endpoints if (why := mismatch(half.carried.type_name, qos, each)) is not None
+        each: why
+        for each in half.carried.endpoints
+        if each not in beyond and (why := mismatch(half.carried.type_name, qos, each)) is not None
     }
     if others := [each for each, why in deaf.items() if why.cause is Cause.TYPE_CONFLICT]:
         if all(each.type_name == half.listeners.type_before for each in others):
@@ -373,6 +376,22 @@ def _subscribers(half: ReceiverFacts, crossing: Crossing) -> Verdict | None:
             State.UNHEARD, Cause.NO_SUBSCRIBER, no_subscriber(half.route.local_topic, half.route.context.domain)
         )
     return None
+
+
+def _beyond_correction(half: ReceiverFacts) -> list[Endpoint]:
+    """Return subscriptions of another type that no known node has, if others hear the topic."""
+    type_name, listeners = half.carried.type_name, half.listeners
+    if not half.flow.audience.nodes:
+        return []
+    return [each for each in half.carried.endpoints if each.type_name != type_name and listeners.is_nameless(each.gid)]
+
+
+def _nameless(half: ReceiverFacts, _: Crossing) -> Verdict | None:
+    if not half.carried.type_name or not (endpoints := _beyond_correction(half)):
+        return None
+    types = join_first(sorted({each.type_name for each in endpoints}), NAMED)
+    text = f"{named(half.flow.audience.nodes)} can hear it; a subscription of no known node has {types}, and cannot"
+    return Verdict(State.OK, Cause.TYPE_CONFLICT, text)
 
 
 def _changed_type(half: ReceiverFacts, others: Collection[Endpoint]) -> str:
@@ -433,4 +452,13 @@ OF_SENDER: Rules[SenderFacts] = (
     _shared,
     _unsent,
 )
-OF_RECEIVER: Rules[ReceiverFacts] = (_nothing_comes, _expired, _late, _clocks, _subscribers, _several, _unreceived)
+OF_RECEIVER: Rules[ReceiverFacts] = (
+    _nothing_comes,
+    _expired,
+    _late,
+    _clocks,
+    _subscribers,
+    _several,
+    _nameless,
+    _unreceived,
+)
