@@ -7,8 +7,6 @@ from dataclasses import dataclass, field
 from random import Random
 from typing import TYPE_CHECKING, Any, TypeVar, Unpack
 
-import msgspec
-
 from rsb_bridge.config.session_file import SessionInFile
 from rsb_bridge.model.clock import Clock, StampClock
 from rsb_bridge.model.codes import EventCode
@@ -112,21 +110,13 @@ class Context:
         self.demands = RunningDemands(self)
 
     @property
-    def armed(self) -> tuple[str | ArmedName, ...]:
-        """The names and patterns that have to be armed, of the session and of all entries."""
-        return self.session.armed
-
-    def set_armed(self, armed: tuple[str | ArmedName, ...]) -> None:
-        self.session = msgspec.structs.replace(self.session, armed=armed)
+    def armed_in_file(self) -> tuple[str | ArmedName, ...]:
+        """`armed` of the session's file."""
+        return () if self.in_file.session is None else self.in_file.session.armed
 
     def demands_changed(self) -> None:
         """Have the routes reopened soon whose demands have changed."""
         self.loop.call_soon(self.demands.apply)
-
-    def demand_kept(self, source: DemandSource, origin: str) -> None:
-        """Log that a demand stays whose entry is gone."""
-        text = f"{source.name}: still has to be armed ({origin}): kept under armed; save the session"
-        self.events.add(Level.INFO, EventCode.OPERATOR_ARM_KEPT, text, topic=source.name, old=origin)
 
     def demand_dropped(self, source: DemandSource, origin: str) -> None:
         """Log that an operator has dropped a demand."""

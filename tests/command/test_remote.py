@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Self
 import msgspec
 import pytest
 from tests.console.scripted import ROUTES, SESSION, ScriptedEngine, route
-from tests.support import constants, replaced
+from tests.support import constants, replaced, surroundings
 from tests.support.forker import Forked
 from tests.support.waiting import eventually
 from tests.support.wording import says
@@ -43,7 +43,7 @@ from rsb_bridge.route.lease import Standstill
 from rsb_console.command.arming_commands import ArmingNote
 from rsb_console.command.headless import HeadlessText
 from rsb_console.command.route_commands import TopicCommandProblem
-from rsb_console.command.target import BridgeChoice, RouteChoice
+from rsb_console.command.target import Asking, BridgeChoice, RouteChoice
 from rsb_console.command.watching_commands import WatchingProblem
 from rsb_console.session.draft import TypedProblem
 
@@ -278,6 +278,44 @@ def test_remove_says_whether_the_demand_to_arm_stays(lines: str, ran: Any, engin
     engine.demanded = lines
     assert (TopicCommandProblem.STILL_DEMANDED(lines=lines) in ran("remove", "/scan").out) == bool(lines)
     assert ran("remove", "/scan", "--json").json["demanded"] == bool(lines)
+
+
+@pytest.fixture
+def armed(engine: ScriptedEngine) -> ScriptedEngine:
+    """An engine whose session lists /scan with `arm`."""
+    spec = msgspec.structs.replace(SCAN.spec, arm=True)
+    engine.session = msgspec.structs.replace(engine.session, topics=(spec,))
+    engine.now = replace(engine.now, routes=(replace(SCAN, spec=spec),))
+    return engine
+
+
+def test_removal_of_armed_entry_needs_its_option(ran: Any, armed: ScriptedEngine) -> None:
+    for more in (), ("--json",):
+        refused = ran("remove", "/scan", *more)
+        assert refused.code == 2
+        assert says(refused.err or refused.json["error"], Asking.NOBODY, options="--drop-arm or --keep-arm")
+    assert armed.commands == []
+    assert ran("remove", "/scan", "--keep-arm").code == 0
+    assert ran("remove", "/scan", "--drop-arm").code == 0
+    assert armed.commands == [("remove", "/scan"), ("remove", "/scan", "drop_arm")]
+
+
+@pytest.mark.parametrize(("answer", "drops"), [("y\n", True), ("n\n", False), ("\n", False), ("", False)])
+def test_removal_of_armed_entry_asks_once(
+    ran: Any, armed: ScriptedEngine, monkeypatch: pytest.MonkeyPatch, answer: str, drops: bool
+) -> None:
+    surroundings.set_stdin(monkeypatch, answer, is_terminal=True)
+    removed = ran("remove", "/scan")
+    assert removed.code == 0
+    assert removed.out.count(TopicCommandProblem.DROP(topic="/scan")) == 1
+    assert armed.commands == [("remove", "/scan", *["drop_arm"] * drops)]
+
+
+def test_removal_asks_only_about_demand_of_entry(ran: Any, engine: ScriptedEngine) -> None:
+    """Another line of this side demands arming, or the other side's entry, which only that side can drop."""
+    engine.now = replace(engine.now, routes=(replace(SCAN, spec=msgspec.structs.replace(SCAN.spec, arm=True)),))
+    assert ran("remove", "/scan").code == 0
+    assert engine.commands == [("remove", "/scan")]
 
 
 def test_changes_say_that_they_are_not_saved(ran: Any, engine: ScriptedEngine, tmp_path: Path) -> None:

@@ -69,6 +69,8 @@ def test_what_is_saved_is_what_is_read(armed: tuple[str | ArmedName, ...], tmp_p
     [
         ("[cmd_vel]", "armed[0]"),
         ("[/cmd_vel, /cmd_vel]", "armed[1]"),
+        ("[/cmd_vel, {name: /cmd_vel, deadman: 5}]", "armed[1]"),
+        ('[{name: "/c*", except: [/c_a]}, {name: "/c*", except: [/c_b]}]', "armed[1]"),
         ("[{name: /cmd_vel, deadman: 0.1}]", "armed[0].deadman"),
         ('[{name: "/a/***"}]', "armed[0].name"),
         ("[{name: /a, kind: node}]", "armed[0].kind"),

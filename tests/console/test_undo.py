@@ -135,6 +135,32 @@ async def test_what_has_to_be_armed_comes_back_disarmed(
     assert not [command for command in engine.commands if command[0] == "arm"]
 
 
+@on_scan(select="/cmd_vel")
+async def test_removal_of_armed_entry_asks_once_preselecting_no(
+    app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]
+) -> None:
+    engine.session = msgspec.structs.replace(engine.session, topics=engine.specs)
+    await removed(pilot, "/cmd_vel")
+    await shown(pilot, "No longer arm /cmd_vel?")
+    assert focus(app.screen) == "no"
+    assert engine.commands == []
+    await pilot.press("y")
+    await until(pilot, lambda: engine.commands, "a removal")
+    assert engine.commands == [("remove", "/cmd_vel", "drop_arm")]
+
+
+@on_scan(select="/cmd_vel")
+async def test_removal_keeps_demand_without_agreement(
+    app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]
+) -> None:
+    engine.session = msgspec.structs.replace(engine.session, topics=engine.specs)
+    await removed(pilot, "/cmd_vel")
+    await shown(pilot, "No longer arm /cmd_vel?")
+    await pilot.press("escape")
+    await until(pilot, lambda: engine.commands, "a removal")
+    assert engine.commands == [("remove", "/cmd_vel")]
+
+
 @on_scan()
 async def test_an_edit_is_put_back(app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]) -> None:
     await slowed(app, pilot, engine)

@@ -377,6 +377,18 @@ def test_called_entries_are_armed_by_name(bridge: Bridge) -> None:
         assert not required(client, names[1])
 
 
+def test_edit_of_deadman_leaves_one_line(bridge: Bridge, yard: Yard) -> None:
+    """An edit may make the deadman longer, which leaves neither the old line nor the new one under `armed`."""
+    server, client = by_server(bridge, yard, msgspec.structs.replace(COMMANDS, deadman=30.0))
+    found = route(server, "/cmd_vel")
+    server.edit_topic(found.key, msgspec.structs.replace(found.spec, deadman=90.0)).result(60)
+    (entry,) = server.session.accepted_clients[0].topics
+    assert (entry.arm, entry.deadman, server.session.armed) == (True, 90.0, ())
+    stays_demanded(yard, server, client)
+    server.remove_topic(route(server, "/cmd_vel").key).result(60)
+    assert server.session.armed == (ArmedName("/cmd_vel", "topic", client="robot1", deadman=90.0),)
+
+
 def test_removal_that_drops_demand_is_told_twice(bridge: Bridge, yard: Yard) -> None:
     server, client = by_server(bridge, yard, COMMANDS)
     server.remove_topic(route(server, "/cmd_vel").key, drop_arm=True).result(60)

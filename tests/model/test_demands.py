@@ -13,10 +13,12 @@ from rsb_bridge.model.demands import (
     Demands,
     OriginText,
     RunningDemands,
+    all_armed,
     armed_line,
     describe,
     sources_of,
     sources_of_entries,
+    sources_of_topics,
 )
 from rsb_bridge.model.session import DEADMAN, ArmedName, Client, Kind, Session, Topic
 
@@ -28,9 +30,12 @@ if TYPE_CHECKING:
 RENAMED = Topic("/a/*", "receive", remote_topic="/b/*", arm=True, excepts=("/a/x",))
 
 
+def session(*topics: Topic, armed: tuple[str | ArmedName, ...] = ()) -> Session:
+    return Session(name="robot1", role="client", server_ip="10.0.0.1", topics=topics, armed=armed)
+
+
 def client(*topics: Topic, armed: tuple[str | ArmedName, ...] = ()) -> Demands:
-    session = Session(name="robot1", role="client", server_ip="10.0.0.1", topics=topics, armed=armed)
-    return Demands(sources_of(session))
+    return Demands(sources_of(session(*topics, armed=armed)))
 
 
 def server(*topics: Topic, use_name: bool) -> Demands:
@@ -123,12 +128,13 @@ class Entries:
     def __init__(self, name: str, topics: tuple[Topic, ...]) -> None:
         self.name, self.topics = name, topics
         self.told: list[str] = []
+        self.applied = 0
 
     def demand_sources(self) -> Iterator[DemandSource]:
         return sources_of_entries(self.topics, self.name, on_server=bool(self.name), use_name=True)
 
     def apply_demands(self) -> None:
-        pass
+        self.applied += 1
 
     def demand_dropped(self, source: DemandSource) -> None:
         self.told.append(source.name)
@@ -138,28 +144,25 @@ class Running:
     """The demands of a client's running session.
 
     Attributes:
-        armed: the session's `armed`.
-        kept: names of which operators read that they stay demanded.
+        armed_in_file: `armed` of the session's file.
         dropped: names of which operators read that their demand is dropped.
     """
 
     def __init__(self, *topics: Topic, armed: tuple[str | ArmedName, ...] = (), client: str = "") -> None:
-        self.armed = armed
+        self.session = session(*topics, armed=armed)
+        self.armed_in_file = armed
         self.entries = Entries(client, topics)
-        self.kept: list[str] = []
         self.dropped: list[str] = []
         self.demands = RunningDemands(self)
         self.demands.register(self.entries)
         self.demands.apply()
 
-    def set_armed(self, armed: tuple[str | ArmedName, ...]) -> None:
-        self.armed = armed
+    @property
+    def armed(self) -> tuple[str | ArmedName, ...]:
+        return self.session.armed
 
     def demands_changed(self) -> None:
         """The test applies changes itself."""
-
-    def demand_kept(self, source: DemandSource, origin: str) -> None:
-        self.kept.append(source.name)
 
     def demand_dropped(self, source: DemandSource, origin: str) -> None:
         self.dropped.append(source.name)
@@ -168,8 +171,9 @@ class Running:
         self.entries.topics = topics
         self.demands.changed()
 
-    def drop(self, *names: str) -> None:
-        self.demands.drop({each: "" for each in self.demands.sources if each.name in names})
+    def end(self, *names: str) -> None:
+        """End demands, as an operator has agreed to."""
+        self.demands.end([each for each in self.demands.sources if each.name in names])
 
     def demanded(self, name: str, kind: Kind = "topic") -> float | None:
         """The deadman of a name that has to be armed, or None."""
@@ -193,7 +197,7 @@ GO_ALL = ArmedName("/cmd*", "topic")
         ((CMD,), (PATTERN,), [GO]),
         ((Topic("/cmd", "receive", arm=True, deadman=5.0),), (), [ArmedName("/cmd", "topic", deadman=5.0)]),
         ((CMD, Topic("/cmd", "transmit", arm=True)), (), [GO]),
-        ((Topic("/cmd", "receive", arm=True, deadman=5.0),), (CMD,), []),
+        ((Topic("/cmd", "receive", arm=True, deadman=5.0),), (CMD,), [ArmedName("/cmd", "topic", deadman=5.0)]),
         ((PATTERN,), (), [GO_ALL]),
         ((PATTERN,), (Topic("/cmd*", "receive", arm=True, excepts=("/cmd_a",)),), [GO_ALL]),
         ((PATTERN,), (Topic("/cmd*", "receive", arm=True, type="Twist"),), [GO_ALL]),
@@ -209,7 +213,7 @@ GO_ALL = ArmedName("/cmd*", "topic")
 def test_what_an_entry_demanded_stays(
     before: tuple[Topic, ...], after: tuple[Topic, ...], written: list[str | ArmedName]
 ) -> None:
-    """A name once demanded stays so, even without its entries; an edit may change the deadman."""
+    """A name once demanded stays so, even without its entries, and as carefully."""
     running = Running(*before)
     names = [each for each in ("/cmd", "/cmd_a", "/cmd_x", "/c/b", "/c/x") if running.demanded(each) is not None]
     running.edit(*after)
@@ -225,18 +229,61 @@ def test_armed_has_the_lines_of_all_entries() -> None:
     running = Running(CMD, other, Topic("/scan", "transmit", max_age=1.0), armed=("/line",))
     assert running.armed == ("/line", GO, ArmedName("/other", "topic", deadman=5.0))
     assert running.demands.written == ("/line",)
-    running.edit(CMD, msgspec.structs.replace(other, deadman=7.0))
+    running.edit(CMD)
     running.demands.apply()
-    assert running.armed == ("/line", GO, ArmedName("/other", "topic", deadman=7.0))
+    assert running.armed == ("/line", GO, ArmedName("/other", "topic", deadman=5.0))
+    assert list(running.demands.written) == ["/line", ArmedName("/other", "topic", deadman=5.0)]
+
+
+def line(topic: Topic) -> DemandSource:
+    (source,) = sources_of_entries((topic,), "", on_server=False, use_name=False)
+    return armed_line(source)
+
+
+@pytest.mark.parametrize(
+    ("others", "armed", "expected"),
+    [
+        ((), (), 60.0),
+        ((), ("/cmd",), 60.0),
+        ((), (ArmedName("/cmd", deadman=3.0),), 3.0),
+        ((), (ArmedName("/cmd", "topic", deadman=5.0),), 5.0),
+        ((), (ArmedName("/cmd", "topic", deadman=3.0),), 3.0),
+        ((Topic("/cmd", "transmit", arm=True, deadman=5.0),), (), 5.0),
+        ((Topic("/cmd", "transmit", arm=True, deadman=7.0),), (), 7.0),
+        ((Topic("/c*", "receive", arm=True, deadman=5.0),), (), 5.0),
+    ],
+)
+def test_edit_changes_only_what_its_entry_demands(
+    others: tuple[Topic, ...], armed: tuple[str | ArmedName, ...], expected: float
+) -> None:
+    old, new = Topic("/cmd", "receive", arm=True, deadman=5.0), CMD
+    running = Running(old, *others, armed=armed)
+    running.edit(new, *others)
+    running.demands.edited(line(old), line(new))
+    assert running.demanded("/cmd") == expected
+    assert running.demands.written == armed
+
+
+def test_edit_makes_no_kept_deadman_longer() -> None:
+    running = Running(Topic("/cmd", "receive", arm=True, deadman=5.0))
+    running.edit()
+    running.edit(CMD)
+    assert running.demanded("/cmd") == 5.0
+    new = msgspec.structs.replace(CMD, deadman=90.0)
+    running.edit(new)
+    running.demands.edited(line(CMD), line(new))
+    assert running.demanded("/cmd") == 5.0
 
 
 def test_line_of_session_stays_as_written() -> None:
-    """A file may list the same name twice, in an entry and under `armed`."""
+    """A file may list the same name twice, in an entry and under `armed`, and more carefully in one of them."""
     running = Running(CMD, armed=(GO,))
     assert (running.armed, running.demands.written) == ((GO,), (GO,))
     running.edit(msgspec.structs.replace(CMD, deadman=0.0))
     assert running.demanded("/cmd") == DEADMAN
     assert running.demands.written == (GO,)
+    careful = Running(msgspec.structs.replace(CMD, deadman=5.0), armed=(GO,))
+    assert (careful.demanded("/cmd"), careful.demands.written) == (5.0, (GO,))
 
 
 @pytest.mark.parametrize("entry", [CMD, PATTERN])
@@ -270,58 +317,32 @@ def test_stricter_line_is_kept_beside_wider() -> None:
 
 def test_another_session_takes_no_line_out() -> None:
     running = Running(CMD, armed=("/other", "/edited"))
-    running.armed = (ArmedName("/edited", deadman=5.0),)
+    running.demands.use(session(Topic("/comes", "receive", arm=True), armed=(ArmedName("/edited", deadman=5.0),)))
+    assert running.demanded("/comes") == DEADMAN, "before its entry comes"
     assert running.demanded("/other") == DEADMAN
     assert running.demanded("/edited") == 5.0
     running.edit()
     assert running.demanded("/cmd") == DEADMAN
 
 
-def test_kept_deadman_is_not_made_longer() -> None:
-    running = Running(Topic("/cmd", "receive", arm=True, deadman=5.0))
-    running.edit()
-    assert running.demanded("/cmd") == 5.0
-    running.edit(CMD)
-    assert running.demanded("/cmd") == 5.0
-
-
-def test_only_drop_ends_demand_after_change() -> None:
+def test_only_operator_ends_demand() -> None:
     running = Running(CMD, armed=("/other",))
-    with running.demands.changing("anna"):
-        running.drop("/cmd")
-        assert running.entries.told == ["/cmd"]
-        running.edit()
-        assert running.demanded("/cmd") is not None, "not before the end"
+    running.edit()
+    running.demands.tell_end([each for each in running.demands.sources if each.name == "/cmd"])
+    assert running.entries.told == ["/cmd"]
+    assert running.demanded("/cmd") is not None, "not before the end"
+    running.end("/cmd")
     assert running.demanded("/cmd") is None
-    assert (running.armed, running.kept, running.dropped) == (("/other",), [], ["/cmd"])
-    with running.demands.changing("anna"):
-        running.drop("/other")
+    assert (running.armed, running.dropped) == (("/other",), ["/cmd"])
+    running.end("/other")
     assert (running.armed, running.dropped) == ((), ["/cmd", "/other"])
-
-
-def test_a_change_that_fails_drops_nothing() -> None:
-    running = Running(CMD, PATTERN, armed=("/other",))
-
-    def fail() -> None:
-        with running.demands.changing("anna"):
-            running.drop("/cmd", "/cmd*", "/other")
-            running.edit(msgspec.structs.replace(PATTERN, excepts=("/cmd_a",)))
-            assert running.demanded("/cmd_a") is not None
-            raise KeyError
-
-    with pytest.raises(KeyError):
-        fail()
-    assert None not in map(running.demanded, ("/cmd", "/cmd_a", "/cmd_b", "/other"))
-    assert running.dropped == []
-    with running.demands.changing("berta"):
-        running.edit(PATTERN)
-    assert None not in map(running.demanded, ("/cmd", "/cmd_a", "/cmd_b", "/other")), "nor does the next change"
+    assert running.demands.written == ()
 
 
 def test_what_comes_and_goes_during_change_was_demanded() -> None:
     """A reload adds an entry, and before it is through, the other side opens its route and removes it."""
     running = Running()
-    with running.demands.changing("anna"):
+    with running.demands.changing():
         running.edit(CMD)
         assert running.demanded("/cmd") is not None
         running.edit()
@@ -329,10 +350,25 @@ def test_what_comes_and_goes_during_change_was_demanded() -> None:
     assert running.armed == (GO,)
 
 
-def test_drop_of_entry_that_stays_leaves_its_demand() -> None:
+def test_removed_link_leaves_demands_that_nobody_read() -> None:
+    running = Running()
+    running.edit(CMD)
+    running.demands.unregister(running.entries)
+    assert running.demanded("/cmd") is not None
+
+
+def test_changes_are_applied_once_at_their_end() -> None:
+    running = Running()
+    with running.demands.changing():
+        running.edit(CMD)
+        running.demands.apply()
+        assert running.entries.applied == 1
+    assert running.entries.applied == 2
+
+
+def test_end_of_demand_leaves_that_of_its_entry() -> None:
     running = Running(CMD)
-    with running.demands.changing("anna"):
-        running.drop("/cmd")
+    running.end("/cmd")
     assert running.demanded("/cmd") is not None
     assert running.dropped == []
 
@@ -341,14 +377,17 @@ def test_demands_beyond_other_sessions_lines_are_named() -> None:
     """An entry, a line of `armed`, and a name that a pattern leaves out; one with another deadman is edited."""
     edited = Topic("/edit", "receive", arm=True, deadman=5.0)
     running = Running(CMD, PATTERN, edited, armed=("/other", "/same"))
-    narrower = msgspec.structs.replace(PATTERN, excepts=("/cmd_a",))
-    other = client(narrower, msgspec.structs.replace(edited, deadman=60.0), armed=("/same",))
-    staying = running.demands.staying(other.sources)
-    assert sorted(each.name for each in staying) == ["/cmd", "/cmd*", "/other"]
-    with running.demands.changing("anna"):
-        running.demands.drop(staying)
-        running.armed = ("/same",)
-        running.edit(narrower, msgspec.structs.replace(edited, deadman=60.0))
+    topics = (
+        msgspec.structs.replace(PATTERN, excepts=("/cmd_a",)),
+        msgspec.structs.replace(edited, deadman=60.0),
+    )
+    other = session(*topics, armed=("/same",))
+    ended = running.demands.ended_by(other)
+    assert sorted(each.name for each in ended) == ["/cmd", "/cmd*", "/other"]
+    running.demands.use(other)
+    running.edit(*topics)
+    running.armed_in_file = ("/same",)
+    running.demands.end(ended, all_armed(other.armed, sources_of_topics(other)).values())
     assert running.demands.written == ("/same",)
     assert (running.demanded("/cmd_a"), running.demanded("/edit"), running.demanded("/other")) == (None, 60.0, None)
     assert running.demanded("/cmd_b") is not None
@@ -364,19 +403,12 @@ def test_the_line_is_named() -> None:
     assert client(CMD).of("topic", "/cmd") == Demand(DEADMAN, 1.0, (one,))
 
 
-def test_who_added_entry_is_forgotten_with_its_demand() -> None:
-    running = Running()
-    with running.demands.changing("anna"):
-        running.edit(CMD)
+def test_line_that_no_file_has_is_named() -> None:
+    running = Running(CMD)
     (added,) = running.demands.sources
-    assert added == armed_line(next(iter(running.entries.demand_sources())))
-    assert running.demands.origin(added) == OriginText.ADDED(who="anna")
-    with running.demands.changing("anna"):
-        running.drop("/cmd")
-        running.edit()
-    running.edit(CMD)
-    assert running.demands.sources == (added,)
     assert running.demands.origin(added) == OriginText.THIS_SESSION()
+    running.demands.set_places({added.key: "robot.yaml:14"})
+    assert running.demands.origin(added) == "robot.yaml:14"
 
 
 def test_change_costs_server_of_many_robots_little() -> None:

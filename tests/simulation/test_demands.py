@@ -101,7 +101,10 @@ class Edits(Yard):
         run = (self.server if on_server else self.robot).run
         assert run is not None
         link = self.link(on_server=on_server)
-        edits = (self._add, self._add, self._edit_route, self._remove_route, self._edit_pattern, self._remove_pattern)
+        edits = (
+            *(self._add, self._add, self._edit_route, self._remove_route),
+            *(self._edit_pattern, self._remove_pattern, self._reload),
+        )
         try:
             return await self.random.choice(edits)(run, link)
         except EngineError:
@@ -124,7 +127,7 @@ class Edits(Yard):
         if self.random.random() < 0.3:
             spec = msgspec.structs.replace(spec, direction=self.random.choice(_DIRECTIONS))
         if self.random.random() < 0.2:
-            spec = msgspec.structs.replace(spec, arm=False, deadman=None)
+            spec = _unarmed(spec)
         await run.command(run.bridge.do(EditTopic(route.key, spec)))
         return True
 
@@ -153,9 +156,28 @@ class Edits(Yard):
         await run.command(run.bridge.do(RemoveTopic(link.patterns.key_of(self.random.choice(patterns)))))
         return True
 
+    async def _reload(self, run: Run, link: Link) -> bool:
+        """Read a file that lists fewer entries, and some of them without arm."""
+        session = run.bridge.session
+
+        def fewer(topics: tuple[Topic, ...]) -> tuple[Topic, ...]:
+            listed = (each for each in topics if self.random.random() < 0.7)
+            return tuple(self.random.choice((each, _unarmed(each))) for each in listed)
+
+        session = msgspec.structs.replace(session, topics=fewer(session.topics), armed=())
+        if session.clients is not None:
+            clients = (msgspec.structs.replace(each, topics=fewer(each.topics)) for each in session.clients)
+            session = session.with_clients(tuple(clients))
+        await run.command(run.bridge.reload(session, run.bridge.role.keys, dry_run=False))
+        return True
+
     def _some(self, link: Link) -> Route | None:
         routes = list(link.routes.values())
         return self.random.choice(routes) if routes else None
+
+
+def _unarmed(topic: Topic) -> Topic:
+    return msgspec.structs.replace(topic, arm=False, deadman=None)
 
 
 @pytest.mark.parametrize("seed", [0, *long(1, 2)])
@@ -164,9 +186,11 @@ def test_what_either_session_demands_never_crosses_unarmed(seed: int) -> None:
     yard.world.play(life=yard.live(yard.edit()))
 
 
-def _forgotten(self: RunningDemands, line: DemandSource, now: object) -> None:
+def _forgotten(self: RunningDemands) -> Demands:
     """Have a removed entry take its demand along."""
-    self._armed.pop(line, None)
+    self._host.session = msgspec.structs.replace(self._host.session, armed=self._host.armed_in_file)
+    found: Demands = _read(self)
+    return found
 
 
 def _of_the_entry(self: LinkArming, route: Route) -> Demand:
@@ -183,11 +207,12 @@ def _first(self: Demands, kind: object, name: str) -> Iterator[object]:
 
 
 _matching = replaced.DEMANDS_MATCHING.value
+_read = replaced.RUNNING_DEMANDS_READ.value
 
 
 @pytest.mark.parametrize(
     ("owner", "name", "mistake"),
-    [(RunningDemands, "_entry_gone", _forgotten), (LinkArming, "_own", _of_the_entry), (Demands, "_matching", _first)],
+    [(RunningDemands, "_read", _forgotten), (LinkArming, "_own", _of_the_entry), (Demands, "_matching", _first)],
     ids=["edits drop demands", "only the route's own entry", "patterns do not count"],
 )
 def test_a_mistake_is_found(owner: type, name: str, mistake: Callable[..., object]) -> None:

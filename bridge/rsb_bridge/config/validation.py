@@ -41,7 +41,7 @@ from rsb_bridge.feature import BRINGS_TRANSPORTS
 from rsb_bridge.installed_features import added
 from rsb_bridge.model import transports
 from rsb_bridge.model.by_hand import end_text
-from rsb_bridge.model.demands import local_name
+from rsb_bridge.model.demands import SourceKey, line_of, local_name
 from rsb_bridge.model.limits import DOMAIN, NAME_BYTES, OUTLIVE, PACE, TOPIC_PORT
 from rsb_bridge.model.names import is_prefix, well_formed
 from rsb_bridge.model.patterns import is_pattern
@@ -382,7 +382,7 @@ def _client(client: Client, session: Session, first: int | None) -> Iterator[Pro
 
 
 def armed_problems(armed: Sequence[str | ArmedName]) -> Iterator[Problem]:
-    firsts: dict[ArmedName, int] = {}
+    firsts: dict[SourceKey, int] = {}
     for at, each in enumerate(armed):
         entry, here = ArmedName(each) if isinstance(each, str) else each, join("armed", at)
         yield from form_problems(entry.name, here if isinstance(each, str) else join(here, "name"), hidden=True)
@@ -390,7 +390,7 @@ def armed_problems(armed: Sequence[str | ArmedName]) -> Iterator[Problem]:
         yield from under(here, range_problems(entry))
         yield from under(here, on_end_problems(end_text(entry.on_end), entry.kind))
         yield from under(here, limits_problems(entry.limits, entry.kind, entry.type or AUTO, entry.name))
-        if (first := firsts.setdefault(entry, at)) != at:
+        if (first := firsts.setdefault(line_of(each).key, at)) != at:
             yield Problem(here, f"{show(entry.name)} is listed already, as number {first + 1}: keep one")
 
 

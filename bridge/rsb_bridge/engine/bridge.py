@@ -36,7 +36,7 @@ from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.commands import operator
-from rsb_bridge.model.demands import DemandText, as_armed, sources_of
+from rsb_bridge.model.demands import DemandText, all_armed, as_armed, merged, sources_of_topics
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.snapshot import Level, LinkSnapshot, RouteSnapshot, TopicInfo
 from rsb_bridge.ros.lasting_subscription import LastingSubscription
@@ -416,7 +416,8 @@ class Bridge:
         keys = {client.name: known[client.name] for client in session.accepted_clients}
         if shared := shared_key_problem(session, keys):
             raise LinkError(shared)
-        _, failed = await self._reload(session, keys)
+        with self.context.demands.changing():
+            _, failed = await self._reload(session, keys)
         if failed:
             raise LinkError("; ".join(failed))
 
@@ -457,21 +458,23 @@ class Bridge:
             What has changed, and what failed, in words.
         """
         demands = self.context.demands
-        other = demands.staying(sources_of(session))
+        other = demands.ended_by(session)
         about = DemandText.DROPPED if drop_arm else DemandText.STAYS
-        texts = [about(name=source.name, origin=origin) for source, origin in other.items()]
-        first = [ReloadStep(text, lambda: None) for text in texts]
+        first = [ReloadStep(about(name=each.name, origin=demands.origin(each)), lambda: None) for each in other]
         if not drop_arm:
             # What the file demands no longer stays demanded until an operator drops it by name.
-            session = msgspec.structs.replace(session, armed=(*session.armed, *map(as_armed, other)))
+            armed = merged((*session.armed, *map(as_armed, other)))
+            session, other = msgspec.structs.replace(session, armed=tuple(armed.values())), []
         if dry_run:
             return [step.text for step in (*first, *await self._steps_to(session, keys))], []
-        if other and drop_arm:
-            # The first step drops all of them, and the others only name theirs.
-            first[0] = ReloadStep(texts[0], partial(demands.drop, other))
         await self.end_motions()
         self._arming.end_all(Disarmed.RELOADED)
-        return await self._reload(session, keys, first)
+        with demands.changing():
+            demands.tell_end(other)
+            outcome = await self._reload(session, keys, first)
+            said = all_armed(session.armed, sources_of_topics(session))
+            demands.end(other, said.values())
+        return outcome
 
     async def _reload(
         self, session: Session, keys: Keys, first: Sequence[ReloadStep] | None = None
@@ -496,10 +499,8 @@ class Bridge:
                 done.append(step.text)
                 self.context.events.add(Level.INFO, code, f"{why}{step.text}{undo_mark()}", who=operator())
 
-        with self.context.demands.changing(operator()):
-            # Before the steps, which read it.
-            self.context.session = session
-            await in_slices([*(first or ()), *steps], take)
+        self.context.demands.use(session)  # before the steps, which read it
+        await in_slices([*(first or ()), *steps], take)
         return done, failed
 
     async def _steps_to(self, session: Session, keys: Keys) -> list[ReloadStep]:
@@ -508,7 +509,7 @@ class Bridge:
             (("stale_after", "stale_warnings", "late_after", "check_messages"), self._configure_routes),
             (("pace",), self._set_pace),
             (("group", "ports", "shared_keys", "outlive"), lambda: None),  # they are read in the session when needed
-            (("armed",), self.context.demands.changed),
+            (("armed",), lambda: None),  # `RunningDemands.use` has read it
             (("shutdown_topic",), self._change_shutdown_topic),
             *(live for part in self._parts for live in part.by_key),
         )

@@ -27,7 +27,7 @@ from rsb_bridge.model.commands import (
     is_undo,
     operator,
 )
-from rsb_bridge.model.demands import PEER_DEMANDS, local_name
+from rsb_bridge.model.demands import PEER_DEMANDS, armed_line, local_name, sources_of_entries
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.lifecycle import PAUSE_WORDS
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.link.link import Link
     from rsb_bridge.link.roles import BridgeRole
+    from rsb_bridge.model.demands import DemandSource, SourceKey
     from rsb_bridge.model.session import Topic
     from rsb_bridge.route.peeking import Peeking
     from rsb_bridge.route.route import Route
@@ -166,7 +167,7 @@ class TopicCommands(EnginePart):
         return named
 
     async def add(self, command: AddTopic) -> str:
-        with self._demands.changing(operator()):
+        with self._demands.changing():
             link, key, topic = self._bridge.role.add(command.topic, command.link)
         route = link.routes.get(key)
         topic, name = (topic, topic.topic) if route is None else (route.spec, route.local_topic)
@@ -177,11 +178,11 @@ class TopicCommands(EnginePart):
         named = await self._stopped(command.key)
         link, old, route = named
         routes = named.routes()
-        with self._demands.changing(operator()):
+        with self._demands.changing():
             # A form, a plan or an undo writes the whole topic: it would take back what another operator has changed.
             if command.seen is not None and (differences := changes(command.seen, old)):
                 raise LinkError(Denied.CHANGED(topic=old.topic, differences=", ".join(differences)))
-            topic = self._checked(named, command)
+            topic, ended = self._checked(named, command)
             there = None
             if route is None:
                 new_key, name = link.patterns.replace(old.identity, topic), topic.topic
@@ -191,6 +192,9 @@ class TopicCommands(EnginePart):
             else:
                 new_key, name = link.proposed.names(topic)
                 there = link.proposed.demand(route, topic)
+            self._demands.end(ended)
+            if old.arm and topic.arm and (route is None or route.here is not None):
+                self._demands.edited(_line(link, old), _line(link, topic))
         if route is not None and there is not None:
             await link.proposed.edit_there(route, there)
         what = f"changed ({', '.join(changes(old, topic)) or 'nothing differs'})"
@@ -200,8 +204,8 @@ class TopicCommands(EnginePart):
         await _settled(routes)
         return new_key
 
-    def _checked(self, named: Named, command: EditTopic) -> Topic:
-        """Return the entry with the client's names, and drop the demands that an operator drops by it."""
+    def _checked(self, named: Named, command: EditTopic) -> tuple[Topic, list[DemandSource]]:
+        """Return the entry with the client's names, and the demands that an operator ends by it."""
         topic, drop_arm = command.topic, command.drop_arm
         if drop_arm and topic.arm:
             raise LinkError(f"{topic.topic} would still have to be armed: set arm=false together with --drop-arm")
@@ -217,14 +221,13 @@ class TopicCommands(EnginePart):
                 topic = link.end.client_names(topic)
             link.proposed.check_replace(route, topic)
         # Last, because nothing may refuse the edit after that.
-        self._drop_demands(named, wanted=drop_arm, names_it=old.arm and not topic.arm)
-        return topic
+        return topic, self._ended(named, wanted=drop_arm, names_it=old.arm and not topic.arm)
 
     async def remove(self, command: RemoveTopic) -> str:
         # A pattern that matches the topic leaves it out from then on.
         named = await self._stopped(command.key)
         routes = named.routes()
-        with self._demands.changing(operator()):
+        with self._demands.changing():
             self._remove(named, drop_arm=command.drop_arm)
         await _settled(routes)
         if named.route is None:
@@ -238,20 +241,21 @@ class TopicCommands(EnginePart):
         link, topic, route = named
         if route is None:
             name = topic.topic
-            self._drop_demands(named, wanted=drop_arm)
+            ended = self._ended(named, wanted=drop_arm)
             link.patterns.remove(topic.identity)
         else:
             if problem := link.patterns.brings_back(route):
                 raise LinkError(problem)
             name = route.local_topic
-            self._drop_demands(named, wanted=drop_arm)
+            ended = self._ended(named, wanted=drop_arm)
             link.extensions.removed(route)
             link.table.remove(route, "removed by an operator")
             link.patterns.leave_out(route)
+        self._demands.end(ended)
         self._log.add(EventCode.OPERATOR_REMOVED, "removed", topic=name, link=link.name, old=described(topic))
 
-    def _drop_demands(self, named: Named, *, wanted: bool, names_it: bool = False) -> None:
-        """Drop the demands of an entry, and the demands of `armed` on its name, if an operator wants that.
+    def _ended(self, named: Named, *, wanted: bool, names_it: bool = False) -> list[DemandSource]:
+        """Return the lines that demand arming of an entry's name, if an operator ends them.
 
         The peer hears of this at once, so call this only when the change itself can no longer be refused.
 
@@ -263,28 +267,35 @@ class TopicCommands(EnginePart):
             LinkError: the operator has not agreed, or another line demands arming, too.
         """
         demands, name, (link, entry, route) = self._demands, named.name, named
-        key = "" if link.is_client else link.name, entry.identity
-        others_entries = {line for other, line in demands.added.items() if other != key}
+        others_keys = self._others(named)
         own = [
             each
             for each in demands.sources
-            if each.arm and each.name == name and each.kind in (None, entry.kind) and each not in others_entries
+            if each.arm and each.name == name and each.kind in (None, entry.kind) and each.key not in others_keys
         ]
         if names_it and not wanted:
             lines = ", ".join(map(demands.origin, own)) or PEER_DEMANDS
             raise LinkError(f"{name} has to be armed ({lines}): --drop-arm ends that, too")
         if not wanted:
-            return
+            return []
         demand = None if route is None else link.table.arming.demand_on(route, demands)
         others = [each for each in ([] if demand is None else demand.sources) if each not in own]
         if others or (not own and route is not None and route.arming.required):
             lines = ", ".join(map(demands.origin, others)) or PEER_DEMANDS
             raise LinkError(f"{name} still has to be armed: {lines} demands it, too; change that instead")
-        demands.drop({each: demands.origin(each) for each in own})
+        demands.tell_end(own)
         # This side's entry stays as it was if the other side refuses the edit, and would bring the demand back.
         if route is not None and route.here is not None and route.there is not None:
             unarmed = msgspec.structs.replace(route.spec, arm=False, deadman=None, on_end=None)
             route.enter(route.here._replace(topic=unarmed), route.there)
+        return own
+
+    def _others(self, named: Named) -> set[SourceKey]:
+        """Return the keys of the lines that other entries than this one add."""
+        own = "" if named.link.is_client else named.link.name, named.entry.identity
+        links = self._bridge.role.links()
+        entries = (each for link in links for each in link.entries.demand_sources() if each.arm and each.key != own)
+        return {armed_line(each).key for each in entries}
 
     async def pause(self, command: PauseTopics) -> None:
         paused = command.paused
@@ -384,6 +395,13 @@ class ArmingCommands(EnginePart):
         """Disarm everything, before a change of the whole bridge: that takes time, in which robots would go on."""
         for link in self._bridge.role.links():
             link.table.arming.disarm_all(why)
+
+
+def _line(link: Link, entry: Topic) -> DemandSource:
+    """Return the line of `armed` that an entry with `arm` adds."""
+    on_server = not link.is_client
+    (source,) = sources_of_entries((entry,), link.name, on_server=on_server, use_name=on_server and link.end.use_name)
+    return armed_line(source)
 
 
 async def _settled(routes: Iterable[Route]) -> None:

@@ -67,7 +67,6 @@ class EventCode(StrEnum):
     """The console that asked is gone, or stood still, or asks no longer."""
     OPERATOR_ARM_DROPPED = "operator.arm_dropped"
     """An operator of either side ended the demand that a name be armed; `Event.old` is the line that made it."""
-    OPERATOR_ARM_KEPT = "operator.arm_kept"
     """The entry that demanded arming was changed or removed, and the demand was kept under `armed`."""
     OPERATOR_CALLED = "operator.called"
     """An operator called a service by hand."""

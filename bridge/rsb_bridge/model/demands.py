@@ -8,6 +8,8 @@ from functools import lru_cache
 from itertools import chain
 from typing import TYPE_CHECKING, Final, Protocol, TypeAlias
 
+import msgspec
+
 from rsb_bridge.model.by_hand import VelocityLimits, can_end, end_text, more_careful_end, smallest_limits
 from rsb_bridge.model.calls import LANES
 from rsb_bridge.model.names import expand_type_name, server_topic
@@ -17,7 +19,7 @@ from rsb_bridge.model.session import DEADMAN, ArmedName, Client, Identity, Kind,
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
 PEER_DEMANDS: Final = "the other side's session"
 """The origin of a demand that the other side makes."""
@@ -27,8 +29,6 @@ class OriginText(Wording):
     """The source of a demand, for operators."""
 
     THIS_SESSION = "this session"
-    ADDED = "added by {who}"
-    KEPT = "kept since a change by {who}"
     PATTERN = "pattern {pattern} {place}"
     PATTERN_IN_FILE = "pattern {pattern} in {place}"
 
@@ -154,26 +154,32 @@ def sources_of_entries(
 
 def sources_of_names(armed: Iterable[str | ArmedName]) -> Iterator[DemandSource]:
     """Yield what a session's `armed` demands."""
-    for each in armed:
-        entry = ArmedName(each) if isinstance(each, str) else each
-        type_name, client, on_client = full_type(entry.type or AUTO), entry.client or "", entry.topic or entry.name
-        far = "" if on_client == entry.name else on_client
-        yield DemandSource(
-            (client, " ".join(filter(None, (entry.kind, type_name, entry.name, far)))),
-            entry.name,
-            entry.deadman_seconds,
-            entry.kind,
-            type_name,
-            on_client,
-            entry.excepts,
-            max_age=default_max_age(entry.max_age, armed=True),
-            on_end=end_text(entry.on_end),
-            limits=entry.limits,
-        )
+    return map(line_of, armed)
 
 
+@lru_cache(4096)
+def line_of(each: str | ArmedName) -> DemandSource:
+    """Return what an item of `armed` demands."""
+    entry = ArmedName(each) if isinstance(each, str) else each
+    type_name, client, on_client = full_type(entry.type or AUTO), entry.client or "", entry.topic or entry.name
+    far = "" if on_client == entry.name else on_client
+    return DemandSource(
+        (client, " ".join(filter(None, (entry.kind, type_name, entry.name, far)))),
+        entry.name,
+        entry.deadman_seconds,
+        entry.kind,
+        type_name,
+        on_client,
+        entry.excepts,
+        max_age=default_max_age(entry.max_age, armed=True),
+        on_end=end_text(entry.on_end),
+        limits=entry.limits,
+    )
+
+
+@lru_cache(4096)
 def as_armed(source: DemandSource) -> str | ArmedName:
-    """Return the line of `armed` for a demand for arming."""
+    """Return the item of `armed` for a demand for arming."""
     entry = ArmedName(
         source.name,
         source.kind,
@@ -193,10 +199,9 @@ def _unless(seconds: float | None, default: float) -> float | None:
     return None if seconds == default else seconds
 
 
-@lru_cache(4096)
 def armed_line(source: DemandSource) -> DemandSource:
     """Return a demand for arming as the line of `armed` says it, which an entry adds there."""
-    return next(sources_of_names([as_armed(source)]))
+    return line_of(as_armed(source))
 
 
 def most_careful(lines: Sequence[DemandSource]) -> DemandSource:
@@ -213,22 +218,35 @@ def most_careful(lines: Sequence[DemandSource]) -> DemandSource:
     return armed_line(one)
 
 
-def stays_within(old: DemandSource, new: DemandSource) -> bool:
-    """Whether a line matches all names that another one does. How careful it is may be edited."""
-    return old.key == new.key and set(new.excepts) <= set(old.excepts)
+def merged(armed: Iterable[str | ArmedName]) -> dict[SourceKey, str | ArmedName]:
+    """Return items of `armed` by their keys: of several with the same key, one that demands what each of them does."""
+    found: dict[SourceKey, str | ArmedName] = {}
+    for each in armed:
+        line = line_of(each)
+        first = line_of(found.setdefault(line.key, each))
+        if first != line and (one := most_careful((first, line))) != first:
+            found[line.key] = as_armed(one)
+    return found
+
+
+def all_armed(armed: Iterable[str | ArmedName], entries: Iterable[DemandSource]) -> dict[SourceKey, str | ArmedName]:
+    """Return `armed` with the lines of entries, by their keys."""
+    return merged((*armed, *(as_armed(each) for each in entries if each.arm)))
+
+
+def sources_of_topics(session: Session) -> Iterator[DemandSource]:
+    """Yield the entries of a session that demand anything."""
+    if session.role == "client":
+        yield from sources_of_entries(session.topics, session.name, on_server=False, use_name=False)
+    else:
+        for each in session.accepted_clients:
+            yield from sources_of_entries(each.topics, each.name, on_server=True, use_name=each.is_prefixed(session))
 
 
 def sources_of(session: Session) -> Iterator[DemandSource]:
     """Yield every line of a session that demands anything; entries add theirs to `armed`."""
     yield from sources_of_names(session.armed)
-    if session.role == "client":
-        entries = sources_of_entries(session.topics, session.name, on_server=False, use_name=False)
-    else:
-        entries = chain.from_iterable(
-            sources_of_entries(each.topics, each.name, on_server=True, use_name=each.is_prefixed(session))
-            for each in session.accepted_clients
-        )
-    yield from (armed_line(each) if each.arm else each for each in entries)
+    yield from (armed_line(each) if each.arm else each for each in sources_of_topics(session))
 
 
 class Demands:
@@ -427,53 +445,35 @@ class Holder(Protocol):
 class Host(Protocol):
     """The bridge, which has the running session."""
 
-    @property
-    def armed(self) -> tuple[str | ArmedName, ...]:
-        """The session's `armed`, which another session may replace."""
+    session: Session
 
-    def set_armed(self, armed: tuple[str | ArmedName, ...]) -> None: ...
+    @property
+    def armed_in_file(self) -> tuple[str | ArmedName, ...]:
+        """`armed` of the session's file."""
 
     def demands_changed(self) -> None:
         """Have `RunningDemands.apply` called soon."""
-
-    def demand_kept(self, source: DemandSource, origin: str) -> None:
-        """Log that a line stays whose entry is gone."""
 
     def demand_dropped(self, source: DemandSource, origin: str) -> None:
         """Log that an operator has dropped a line."""
 
 
 class RunningDemands:
-    """The present demands: the running session's `armed`, to which each entry with `arm` adds its line.
+    """The running session's `armed`, the only list of demands, to which each entry with `arm` adds its line.
 
-    Only an operator takes a line out (`drop`). If its entry goes or another session replaces this one, it stays. While
-    the entry is there, the line says what the entry says, except that it leaves out no further names.
-
-    Attributes:
-        added: the lines of present entries, by their entries.
-        written: the lines of `armed` for the session's file, which has those of entries by the entries.
+    A line stays if its entry changes or goes, and if another session is read. Only an operator takes it out (`end`).
     """
 
     def __init__(self, host: Host) -> None:
         self._host = host
         self._holders: list[Holder] = []
-        self._demands = Demands()
-        self._armed: dict[DemandSource, str | ArmedName] = {}
-        self._given: tuple[str | ArmedName, ...] = ()
-        self._listed: frozenset[str | ArmedName] = frozenset()
         self._entries: tuple[DemandSource, ...] = ()
-        self.added: dict[SourceKey, DemandSource] = {}
-        self.written: tuple[str | ArmedName, ...] = ()
-        self._applied: tuple[DemandSource, ...] | None = ()
-        self._is_stale = True
-        self._is_due = self._is_changing = False
-        self._who = ""
-        self._dropping: dict[DemandSource, str] = {}
+        self._armed: tuple[str | ArmedName, ...] = ()
+        self._demands = Demands()
+        self._applied: Demands | None = None
         self._places: Mapping[SourceKey, str] = {}
-        self._changed_by: dict[SourceKey, str] = {}
+        self._is_stale = self._is_changing = False
         self._read()
-
-    # --- the lines
 
     def register(self, holder: Holder) -> None:
         """Count the entries of one more link."""
@@ -483,14 +483,14 @@ class RunningDemands:
     def unregister(self, holder: Holder) -> None:
         """Forget a link; its demands stay."""
         if holder in self._holders:
+            self._read()
             self._holders.remove(holder)
             self.changed()
 
     def changed(self) -> None:
         """Note that an entry was added, changed or removed."""
-        self._is_stale = True
-        if not self._is_due:
-            self._is_due = True
+        if not self._is_stale:
+            self._is_stale = True
             self._host.demands_changed()
 
     def of(
@@ -504,153 +504,99 @@ class RunningDemands:
         """The lines that demand anything now."""
         return self._read().sources
 
-    def keep(self, source: DemandSource) -> None:
-        """Demand what an entry demands that cannot be added."""
-        self._read()
-        line = armed_line(source)
-        self._changed_by[line.key] = self._who or "the other side"
-        self._merge(line)
-        self._renew()
-        self.changed()
+    @property
+    def written(self) -> tuple[str | ArmedName, ...]:
+        """`armed` for the session's file: its own lines, and what neither they nor entries say. From any thread."""
+        armed, in_file = merged(self._armed), merged(self._host.armed_in_file)
+        known = all_armed(in_file.values(), self._entries)
+        said = (in_file.get(key) if known.get(key) == each else each for key, each in armed.items())
+        return tuple(each for each in said if each is not None)
 
     def _read(self) -> Demands:
         """Have every present entry's line in `armed`."""
-        # Another session replaces `armed` steps before its entries come and `changed` is called.
-        if (given := self._host.armed) is not self._given:
-            self._replace(given)
+        entries = self._entries
         if self._is_stale:
-            entries = tuple(dict.fromkeys(chain.from_iterable(each.demand_sources() for each in self._holders)))
-            if entries != self._entries:  # they are equal after most changes, of which peers can cause many
-                self._entries = entries
-                self._add({each.key: armed_line(each) for each in entries if each.arm})
-                self._renew()
             self._is_stale = False
+            entries = tuple(dict.fromkeys(chain.from_iterable(each.demand_sources() for each in self._holders)))
+        if entries != self._entries or self._host.session.armed is not self._armed:
+            self._entries = entries
+            self._armed = self._set(all_armed(self._host.session.armed, entries))
+            self._demands = Demands((*map(line_of, self._armed), *(each for each in entries if not each.arm)))
         return self._demands
 
-    def _replace(self, given: tuple[str | ArmedName, ...]) -> None:
-        """Take `armed` of another session, and keep the lines that it does not have."""
-        self._listed = frozenset(given)
-        lines = dict(zip(sources_of_names(given), given, strict=True))
-        stay = {old: each for old, each in self._armed.items() if not any(stays_within(old, new) for new in lines)}
-        self._armed = lines | stay
-        for line in self.added.values():
-            self._armed.setdefault(line, as_armed(line))
-        self._renew()
+    def _set(self, armed: Mapping[SourceKey, str | ArmedName]) -> tuple[str | ArmedName, ...]:
+        items = tuple(armed.values())
+        if items != self._host.session.armed:
+            self._host.session = msgspec.structs.replace(self._host.session, armed=items)
+        return self._host.session.armed
 
-    def _add(self, added: dict[SourceKey, DemandSource]) -> None:
-        """Add the lines of present entries; those that entries added before stay, or say what their entries say now."""
-        before, now = {each.key for each in self.added.values()}, dict.fromkeys(added.values())
-        for key, old in self.added.items():
-            new = added.get(key)
-            if old in now:
-                continue
-            if new is None or new.key != old.key:
-                self._entry_gone(old, now)
-            elif not stays_within(old, new):
-                self._armed.pop(old, None)
-                self._merge(old)
-            elif self._armed.get(old) not in self._listed:
-                self._armed.pop(old, None)
-        for line in now:
-            self._armed.setdefault(line, as_armed(line))
-            if line.key in self._places:
-                self._changed_by.pop(line.key, None)
-            elif self._who and line.key not in before:
-                self._changed_by[line.key] = self._who
-        self.added = added
+    def keep(self, source: DemandSource) -> None:
+        """Demand what an entry demands that cannot be added."""
+        self._set(merged((*self._host.session.armed, as_armed(source))))
+        self._host.demands_changed()
 
-    def _entry_gone(self, line: DemandSource, now: Iterable[DemandSource]) -> None:
-        if any(each.key == line.key for each in now):  # another entry adds it, too
-            return
-        if all(each.key != line.key for each in self._dropping):
-            self._host.demand_kept(line, self.origin(line))
-        self._changed_by[line.key] = self._who or "the other side"
+    def use(self, session: Session) -> None:
+        """Change to another session, whose entries are yet to come, and keep the lines that it does not have."""
+        self._read()
+        self._host.session = session
+        self._set(merged((*all_armed(session.armed, sources_of_topics(session)).values(), *self._armed)))
 
-    def _merge(self, line: DemandSource) -> None:
-        """Add a line that no entry has, in one with others of its key."""
-        others = [each for each in self._armed if each.key == line.key and each not in self.added.values()]
-        for each in others:
-            del self._armed[each]
-        one = most_careful([line, *others])
-        self._armed[one] = as_armed(one)
-
-    def _renew(self) -> None:
-        """Set `armed`, and what follows from it."""
-        armed, added = tuple(self._armed.values()), set(self.added.values())
-        if armed != self._host.armed:
-            self._host.set_armed(armed)
-        self._given = self._host.armed
-        self._listed &= set(armed)
-        self.written = tuple(each for line, each in self._armed.items() if line not in added or each in self._listed)
-        self._demands = Demands((*self._armed, *(each for each in self._entries if not each.arm)))
-        still = {line.key for line in self._armed}
-        self._changed_by = {key: who for key, who in self._changed_by.items() if key in still}
-
-    # --- changes by operators
+    # --- what operators end
 
     @contextlib.contextmanager
-    def changing(self, who: str) -> Iterator[None]:
-        """Change entries. What `drop` is given meanwhile is dropped at the end, unless the change fails.
-
-        Args:
-            who: makes the change, in words.
-        """
-        self._read()  # earlier changes are not this operator's
-        self._who, self._is_changing = who, True
+    def changing(self) -> Iterator[None]:
+        """Change entries: routes are reopened once, at the end."""
+        self._is_changing = True
         try:
             yield
-            self._forget()
         finally:
-            self._dropping = {}
-            self._read()  # before the operator's name is reset
-            self._who, self._is_changing = "", False
+            self._is_changing = False
             self.apply()
 
-    def staying(self, sources: Iterable[DemandSource]) -> dict[DemandSource, str]:
-        """Return what would stay if these lines replaced the present ones, each with the origin of its demand."""
-        new = [each for each in sources if each.arm]
-        return {
-            line: self.origin(line)
-            for line in self.sources
-            if line.arm and not any(stays_within(line, each) for each in new)
-        }
+    def ended_by(self, session: Session) -> list[DemandSource]:
+        """Return the lines that demand arming of names of which a session does not demand it."""
+        new = all_armed(session.armed, sources_of_topics(session))
+        excepts = {key: set(line_of(each).excepts) for key, each in new.items()}
+        lines = (each for each in self.sources if each.arm)
+        return [each for each in lines if each.key not in new or not excepts[each.key] <= set(each.excepts)]
 
-    def drop(self, sources: Mapping[DemandSource, str]) -> None:
-        """Let demands go at the end of the present change, as an operator has agreed to by name.
+    def tell_end(self, lines: Iterable[DemandSource]) -> None:
+        """Tell the other side what is about to end, before that closes routes: nothing may refuse it after this."""
+        for line in lines:
+            for holder in self._holders:
+                holder.demand_dropped(line)
 
-        The other side learns of it now, before the change closes the routes: nothing may refuse the change after this.
+    def end(self, lines: Collection[DemandSource], said: Iterable[str | ArmedName] = ()) -> None:
+        """Take lines out as an operator has agreed to by name. Present entries and the file's lines stay.
 
         Args:
-            sources: the demands, each with its origin.
+            said: what other lines say from now on; they leave out no further names.
         """
-        self._dropping |= sources
-        for source in sources:
-            for holder in self._holders:
-                holder.demand_dropped(source)
-
-    def _forget(self) -> None:
-        """Drop the demands that an operator has dropped, unless an entry still makes them."""
-        if not self._dropping:
-            return
-        self.changed()
+        self._is_stale = True  # not every change of an entry is noted that drops its demand
         self._read()
-        dropped = {each.key for each in self._dropping}
-        self._armed = {line: each for line, each in self._armed.items() if line.key not in dropped}
-        for line in self.added.values():
-            self._armed.setdefault(line, as_armed(line))
-        self._renew()
-        still = {line.key for line in self._armed}
-        for source, origin in self._dropping.items():
-            if source.key not in still:
-                self._host.demand_dropped(source, origin)
+        ended = {each.key for each in lines}
+        armed = {key: each for key, each in merged(self._armed).items() if key not in ended}
+        for each in said:
+            new = line_of(each)
+            old = line_of(armed.get(new.key, each))
+            excepts = tuple(name for name in new.excepts if name in old.excepts)
+            armed[new.key] = each if excepts == new.excepts else as_armed(replace(new, excepts=excepts))
+        still = (each for key, each in merged(self._host.armed_in_file).items() if key in armed)
+        self._set(merged((*armed.values(), *still)))
+        stay = {line.key for line in self.sources}
+        for line in lines:
+            if line.key not in stay:
+                self._host.demand_dropped(line, self.origin(line))
+
+    def edited(self, old: DemandSource, new: DemandSource) -> None:
+        """Have a line say what its entry says by now, unless it demands more than the entry did."""
+        if old.key == new.key and most_careful((old, new)) in self.sources:
+            self.end((), (as_armed(new),))
 
     def apply(self) -> None:
         """Reopen the routes whose demands have changed."""
-        if self._is_changing or not self._is_due:
-            return
-        self._is_due = False
-        if (sources := self.sources) != self._applied:
-            self._applied = sources
+        if not self._is_changing and (demands := self._read()) is not self._applied:
+            self._applied = demands
             for holder in tuple(self._holders):
                 holder.apply_demands()
 
@@ -659,13 +605,9 @@ class RunningDemands:
     def set_places(self, places: Mapping[SourceKey, str]) -> None:
         """Take the lines of a session file, by their keys."""
         self._places = places
-        self._changed_by = {key: who for key, who in self._changed_by.items() if key not in places}
         self._applied = None  # routes have to name the lines again
-        self.changed()
+        self._host.demands_changed()
 
     def origin(self, source: DemandSource) -> str:
         """Return a line that demands something, for an operator."""
-        if (who := self._changed_by.get(source.key)) is not None:
-            is_added = any(each.key == source.key for each in self.added.values())
-            return describe(source, {source.key: (OriginText.ADDED if is_added else OriginText.KEPT)(who=who)})
         return describe(source, self._places)

@@ -297,8 +297,8 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     """Values of the features' keys, by name, without defaults (`feature.SessionKey.of`)."""
     topics: tuple[Topic, ...] = ()
     armed: tuple[str | ArmedName, ...] = ()
-    """Names and patterns on this side that require arming, with or without an entry. In a running bridge, each entry
-    with `arm` adds its line (`rsb_bridge.model.demands.RunningDemands`)."""
+    """Names and patterns on this side that require arming, with or without an entry. In a running bridge it is the only
+    list of them: each entry with `arm` adds its line (`rsb_bridge.model.demands.RunningDemands`)."""
     clients: tuple[Client, ...] | None = None
     """The clients of a server; empty if it has none yet, or None for one with the session's own name and key."""
     allow: tuple[str | Grant, ...] = ()
@@ -359,6 +359,12 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     def listed_clients(self) -> tuple[Client, ...]:
         """The clients that the session names."""
         return self.clients or ()
+
+    def entry(self, link: str, identity: Identity) -> Topic | None:
+        """Return the entry of a link by its identity, or None if this side does not list it."""
+        of_clients = (each.topics for each in self.accepted_clients if each.name == link)
+        topics = self.topics if self.role == "client" else next(of_clients, ())
+        return next((each for each in topics if each.identity == identity), None)
 
     @property
     def adapter(self) -> str | None:

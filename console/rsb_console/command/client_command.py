@@ -22,7 +22,7 @@ from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.wording import Wording
 from rsb_console.command.formatting import clock
 from rsb_console.command.shell import OK, print_error, print_lines
-from rsb_console.command.target import Asking, NoBridgeError, UsageError, agreed, chosen_bridge, done, result
+from rsb_console.command.target import NoBridgeError, UsageError, agreed, chosen_bridge, done, result
 from rsb_console.session import client_files
 
 if TYPE_CHECKING:
@@ -154,12 +154,10 @@ def _ask_to_finish(arguments: Namespace, path: Path, name: str) -> None:
     if used is not None and used.new == new:
         print_error(ClientEffect.USED(name=name, when=clock(used.time)))
         return
-    if arguments.json:
-        raise UsageError(Asking.NOBODY())
     last = "and the server's log does not show that it has ever used the new key. Without it, it"
     if used is not None:
         last = f"and used its old key last, on {clock(used.time)}. Without the new one, it"
-    if not agreed(f"{name} is not linked, {last} cannot link any more. Finish?"):
+    if not agreed(f"{name} is not linked, {last} cannot link any more. Finish?", ask=not arguments.json):
         raise EngineError(ClientCommandProblem.NOT_FINISHED(name=name))
 
 

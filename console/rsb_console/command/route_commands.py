@@ -11,6 +11,7 @@ from rsb_bridge.model.wording import Wording
 from rsb_console.command.formatting import links_of, made_by, pattern_text, patterns_of, rate_text, route_of
 from rsb_console.command.target import (
     UsageError,
+    agreed,
     all_chosen,
     attached,
     carried_out,
@@ -46,6 +47,7 @@ _ABOUT_PROVIDER = (
 class TopicCommandProblem(Wording):
     """Reasons why a topic is not added or changed."""
 
+    DROP = "{topic} has to be armed, and its name stays under armed. Drop this demand, too?"
     STILL_DEMANDED = "; it still has to be armed, under armed ({lines}): rsb-console reload --drop-arm ends that"
     NO_CLIENT = "add {topic}: the server has no client yet; `rsb-console client add NAME` adds one"
     CLIENT_MISSING = "add {topic}: several clients; choose one with --link {links}"
@@ -93,8 +95,12 @@ def _available(engine: RemoteEngine, arguments: Namespace) -> int:
 
 def remove_topic(arguments: Namespace) -> int:
     with attached(arguments) as engine:
-        found = chosen(engine, arguments)
-        stays = result(engine.remove_topic(found.key, drop_arm=arguments.drop_arm))
+        found, drops = chosen(engine, arguments), arguments.drop_arm
+        entry = engine.session.entry(found.link, found.spec.identity)
+        if drops is None and entry is not None and entry.arm:
+            question = TopicCommandProblem.DROP(topic=arguments.topic)
+            drops = agreed(question, "--drop-arm or --keep-arm", ask=not arguments.json)
+        stays = result(engine.remove_topic(found.key, drop_arm=bool(drops)))
         note = TopicCommandProblem.STILL_DEMANDED(lines=stays) if stays else ""
         return _changed(engine, arguments, [found], "removed", note=note, demanded=bool(stays))
 

@@ -73,7 +73,7 @@ class RouteChoice(Wording):
 class Asking(Wording):
     """A question to the operator."""
 
-    NOBODY = "no operator can answer: give --yes"
+    NOBODY = "no operator can answer: give {options}"
 
 
 class UsageError(Exception):
@@ -200,10 +200,18 @@ def done(arguments: Namespace, *lines: str, **results: object) -> int:
     return OK
 
 
-def agreed(question: str) -> bool:
-    """Return whether an operator answers yes. Raise UsageError if nobody is there to ask."""
-    if not sys.stdin.isatty():
-        raise UsageError(Asking.NOBODY())
+def agreed(question: str, options: str = "--yes", *, ask: bool = True) -> bool:
+    """Return whether an operator answers yes.
+
+    Args:
+        options: the options that answer.
+        ask: whether the output is for people.
+
+    Raises:
+        UsageError: nobody is there to ask.
+    """
+    if not (ask and sys.stdin.isatty()):
+        raise UsageError(Asking.NOBODY(options=options))
     # Lines that were typed ahead are for something else. Not every input that calls itself a terminal can be flushed.
     with contextlib.suppress(OSError, termios.error):
         termios.tcflush(sys.stdin.fileno(), termios.TCIFLUSH)

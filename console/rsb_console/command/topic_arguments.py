@@ -86,7 +86,11 @@ def add_topic_commands(command: AddCommand, complete: Complete) -> None:
     drop_arm_option(edit, "with arm=false: also drop the demand that the name requires arming")
     summary = "stop bridging a topic or service, on both sides"
     remove = of_route("remove", "route_commands:remove_topic", summary, after="edit")
-    drop_arm_option(remove, "also drop the demand that the name requires arming; otherwise it stays")
+    demand = remove.add_mutually_exclusive_group()
+    demand.add_argument("--drop-arm", action="store_true", help="also drop the demand that the name requires arming")
+    keep = "keep that demand; without either option, the command asks about an entry with arm"
+    demand.add_argument("--keep-arm", dest="drop_arm", action="store_false", help=keep)
+    remove.set_defaults(drop_arm=None)
     summary = "stop carrying a topic's messages or a service's calls, on both sides; all routes of the name"
     of_route("pause", "route_commands:pause_topic", summary, after="remove")
     summary = "resume a paused topic or service; all routes of the name"

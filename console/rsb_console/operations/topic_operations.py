@@ -212,20 +212,23 @@ async def remove_topic(screen: MainScreen) -> None:
     if route is None or engine is None:
         return
     message = f"{_removal(route)}, on both sides of the link with {console.peer_of(route)}."
-    if route.arming is not None or route.spec.arm:
+    entry = engine.session.entry(route.link, route.spec.identity)
+    has_demand = entry is not None and entry.arm
+    if route.arming is not None and not has_demand:
         message += " Its name still has to be armed (armed in the session)."
     if route.pattern:
         message += f" {route.pattern} leaves it out from then on (except)."
     question = ConfirmScreen(f"Remove {route.topic}?", message, "Remove", Effect.LOSES)
     if not await console.ask(question):
         return
+    drops = has_demand and await console.ask(ConfirmScreen(*_dropping(route), "Drop", Effect.MOVES)) is True
     now, since = console.snapshot(), _last_event(engine)
     patterns = tuple((row.key, row.spec) for row in patterns_of(now, route.link, route.spec))
     route = find_entry(now, route.key) or route  # as it was when the operator agreed
     change = Removed(
         route.link, route.topic, since, key=route.key, spec=route.spec, pattern=route.pattern, patterns=patterns
     )
-    if await console.command(engine.remove_topic(route.key)):
+    if await console.command(engine.remove_topic(route.key, drop_arm=drops)):
         console.changes.add(change)
 
 
