@@ -78,8 +78,9 @@ class CycloneWriter:
     def matched(self) -> int:
         return len(self.entity.get_matched_subscriptions())
 
-    def publish(self, text: str) -> None:
-        self.entity.write(STRING(data=text))
+    def publish(self, text: str, stamp: int | None = None) -> None:
+        """Publish, at `stamp` (ns since the epoch) by its clock."""
+        self.entity.write(STRING(data=text), timestamp=stamp)
 
 
 class CycloneReader:
