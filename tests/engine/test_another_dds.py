@@ -173,6 +173,20 @@ def test_timed_policies_reach_far_side(bridge: Bridge, sides: tuple[Any, Any], p
     assert offered.liveliness == LivelinessPolicy.MANUAL_BY_TOPIC
 
 
+def test_lifespan_with_old_stamps_loses_nothing(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    """A publisher's clock may be wrong, and RustDDS stamps nothing: Fast DDS drops them by the lifespan of a reader."""
+    with closing(CycloneProgram(robot.id)) as near:
+        writer = near.writer("/stale", Qos(lifespan=2.0))
+        bridge.both(Topic("/stale", "transmit"))
+        reader = _StockReader(pc.listener("/stale"))
+
+        def crosses() -> bool:
+            writer.publish("a", time.time_ns() - 3600 * 10**9)
+            return bool(reader.texts)
+
+        eventually(crosses)
+
+
 def test_program_is_named_as_no_node(bridge: Bridge, robot: Domain) -> None:
     with closing(CycloneProgram(robot.id)) as near:
         near.writer("/silent")

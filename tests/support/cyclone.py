@@ -91,8 +91,9 @@ class CycloneWriter:
     def matched(self) -> int:
         return len(self.entity.get_matched_subscriptions())
 
-    def publish(self, text: str) -> None:
-        self.entity.write(self.entity.data_type(data=text))
+    def publish(self, text: str, stamp: int | None = None) -> None:
+        """Publish, at `stamp` (ns since the epoch) by its clock."""
+        self.entity.write(self.entity.data_type(data=text), timestamp=stamp)
 
 
 class CycloneReader:

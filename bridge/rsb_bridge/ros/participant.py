@@ -167,7 +167,8 @@ class Participant:
         """
         # The history of a latched topic may begin with any number, as its publisher keeps the newest only.
         earlier = None if spec.qos.latched else frozenset(each.gid for each in self.publishers(spec.topic))
-        qos = spec.qos
+        # By it, Fast DDS drops what is not stamped, or by a clock that is wrong. A route knows the ages (`route.age`).
+        qos = msgspec.structs.replace(spec.qos, lifespan=0.0)
         if lease := qos.liveliness_lease_duration:
             # Fast DDS tells only the first of a participant's readers with the same lease who is alive.
             lease += next(self._lease_numbers) % _DIFFERENT_LEASES * 1e-6
