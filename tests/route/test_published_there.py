@@ -13,7 +13,7 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.ros.no_ros import NoRos
 from rsb_bridge.ros.ros_interface import Endpoint
 from rsb_bridge.route.receiver import Receiver
-from rsb_bridge.wire.records import SentReport
+from rsb_bridge.wire.records import ReceivedReport, SentReport
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -84,6 +84,5 @@ def test_near_name_that_appears_later_is_found(loop: VirtualLoop, make_context: 
     assert half.route.idle
     graph.published["/scna"] = [DESK]
     tick(half, peer, loop, 40)
-    report = half.news()
-    assert report is not None
+    [report] = [each for each in half.news() if isinstance(each, ReceivedReport)]
     assert (report.publishers, report.published_as) == (("/desk",), "/scna")

@@ -17,7 +17,8 @@ again, over a cut of the link, too.
 
 from __future__ import annotations
 
-import secrets
+import hashlib
+import struct
 from collections import deque
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
@@ -374,8 +375,9 @@ class Histories:
         if self._silent.asks or not self._silent.hear_again(gid):
             self._send_newest_later(newest_then)
             return
-        # Of the present id, an earlier process of this side may have made the same one.
-        self._remembered.other_ids[gid] = secrets.token_bytes(PUBLISHER_ID_LENGTH)
+        # Of the present id alone, an earlier process of this side may have made the same one.
+        seed = self._id(gid) + struct.pack("d", self._loop.time())
+        self._remembered.other_ids[gid] = hashlib.blake2b(seed, digest_size=PUBLISHER_ID_LENGTH).digest()
         newest.taken = newest.first = 0
         newest.settled = newest.exact
         self._found()

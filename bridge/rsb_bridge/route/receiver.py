@@ -312,8 +312,8 @@ class Receiver:
 
     @property
     def _is_polled(self) -> bool:
-        # Histories of publishers that have gone are dropped, nodes are asked for the description of a type, a topic of a
-        # similar name may appear, and a subscription may get no name.
+        # Histories of publishers that have gone are dropped, nodes are asked for the description of a type, a similar
+        # topic may appear, and a subscription may get no name.
         asks_for_type = bool(self.carried.type_name) and self.check.checker is None
         return self.flow.is_latched or asks_for_type or self.facts.is_unpublished or self.listeners.awaits_name
 
