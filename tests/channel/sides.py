@@ -45,7 +45,7 @@ class Route:
         arrived: payloads that came, each with the time in seconds.
         lost: the reasons why its channel was lost.
         always: bytes of a message that it sends again and again, or 0.
-        fates: what it does when something that carries it is lost.
+        fates: the effect of each loss on it.
     """
 
     def __init__(self, number: int, rank: int = 0, always: int = 0, *, outgoing: bool, duplex: bool = False) -> None:

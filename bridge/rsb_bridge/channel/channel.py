@@ -37,7 +37,7 @@ class RouteSink(Protocol):
 
     @property
     def fates(self) -> Fates:
-        """What it does when something that carries it is lost."""
+        """The effect of each loss on it (`rsb_bridge.model.fates`)."""
 
     def deliver(self, messages: Sequence[Message]) -> None:
         """Take messages that arrived whole and authentic."""

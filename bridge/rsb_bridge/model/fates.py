@@ -6,10 +6,10 @@
 | best effort     | loses it    | waits         | waits          | closes          |
 | has to be armed | loses it    | closes        | closes         | closes          |
 
-Calls are reliable: services, parameters, and actions with their goals. A topic is what its QoS is, latched or not, and
-reliable until that is known; with `keep` over streams it is reliable. A route also closes with its data stream if the
-peer has broken the format on it, or if new ones have delivered nothing for as long as the association would wait. It is
-proposed again; a latched topic then sends what the other side lacks.
+Calls are reliable: services, parameters, and actions with their goals. A topic is what its QoS is, latched or not,
+reliable while its QoS is unknown, and with `keep` over streams in any case. A route also closes with its data stream if
+the peer has broken the format on it, or if new ones have delivered nothing for as long as the association would wait.
+It is proposed again; a latched topic then sends what the other side lacks.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import TypeAlias
 
 
 class Lost(Enum):
-    """Something that carries a route, without what carries that: a lost connection has lost its streams, too."""
+    """Something that carries a route. A connection is lost with its streams, and an association with both."""
 
     DATAGRAM = "a datagram"
     STREAM = "a data stream"

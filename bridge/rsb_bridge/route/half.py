@@ -103,7 +103,7 @@ class Facts(Protocol):
 
     @property
     def fates(self) -> Fates:
-        """What a route does when something that carries it is lost, unless it has to be armed."""
+        """The effect of each loss on the route, unless it has to be armed."""
 
     @property
     def lifespan(self) -> float:

@@ -301,7 +301,7 @@ class Route:
 
     @property
     def fates(self) -> Fates:
-        """What it does when something that carries it is lost."""
+        """The effect of each loss on it."""
         return ARM_REQUIRED if self.arming.required else self.half.facts.fates  # a break disarms what moves robots
 
     @property
