@@ -8,8 +8,8 @@
 
 Calls are reliable: services, parameters, and actions with their goals. A topic is what its QoS is, latched or not,
 reliable while its QoS is unknown, and with `keep` over streams in any case. A route also closes with its data stream if
-the peer has broken the format on it, or if new ones have delivered nothing for as long as the association would wait. It
-is proposed again; a latched topic then sends what the other side lacks.
+the peer has broken the format on it, or if new ones have delivered nothing for as long as the association would wait.
+It is proposed again; a latched topic then sends what the other side lacks.
 """
 
 from __future__ import annotations
