@@ -92,9 +92,8 @@ class SnapshotPublisher:
     """Renews the snapshot: all of it for somebody who looks, else what has changed, once a second, for the record.
 
     Attributes:
-        latest: the newest snapshot; replaced, never changed, so that any thread may read it. While nobody looks, the
-            figures of a route in order may be `_FIGURES_EVERY` s old, and idle ones are as they were when they became
-            so.
+        latest: the newest snapshot; replaced, never changed, so that any thread may read it. While nobody looks, a
+            route's figures may be `_FIGURES_EVERY` s old, and idle ones are as they were when they became so.
     """
 
     def __init__(self, blank: Snapshot, events: EventLog, clock: Clock) -> None:
