@@ -10,6 +10,7 @@ from tests.route.unpacking_helpers import OnePublisher, opened
 from tests.support.offline import FakePeer
 
 from rsb_bridge.link.link import RouteReports
+from rsb_bridge.wire.records import ReceivedCounts, ReceivedReport
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -60,3 +61,19 @@ def test_reports_go_together_at_most_ten_a_second(loop: VirtualLoop, make_contex
     count = len(sent)
     loop.run_until_complete(asyncio.sleep(1.0))
     assert len(sent) == count
+
+
+def test_what_has_not_changed_is_not_reported_again(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
+    receiver = opened(make_context(ros=OnePublisher()), FakePeer(), "/scan")
+
+    def news() -> list[type]:
+        return [type(each) for each in receiver.news()]
+
+    assert news() == [ReceivedCounts, ReceivedReport]
+    assert news() == []
+    receiver.deliver([MESSAGE])
+    assert news() == [ReceivedCounts], "a list of numbers"
+    receiver.path.malformed = "data: too long"
+    assert news() == [ReceivedReport]
+    receiver.resume()  # the last reports may have been lost with the connection
+    assert news() == [ReceivedCounts, ReceivedReport]

@@ -19,7 +19,7 @@ import pytest
 from tests.route.idle_routes_helpers import TALKER, Channel
 from tests.route.time_by_event_helpers import differences, shown_by
 from tests.support import replaced
-from tests.support.offline import FakePeer, half_of, make_context
+from tests.support.offline import FakePeer, half_of, loop, make_context
 from tests.support.virtual_time import VirtualLoop, virtual_loop
 
 from rsb_bridge.model.capacity import Fullness
@@ -40,6 +40,8 @@ if TYPE_CHECKING:
     from tests.support.places import Place
 
     from rsb_bridge.context import Context
+
+__all__ = ["loop", "make_context"]
 
 _LIFE = 2400
 _SEEDS = range(1, 13)
@@ -230,3 +232,23 @@ def test_rule_without_its_time_and_event_without_its_wake_are_found(
     place.set(monkeypatch, mutation)
     with pytest.raises(AssertionError, match="seed"):
         live_all()
+
+
+def test_topic_that_flows_is_judged_only_when_something_changes(
+    loop: VirtualLoop, make_context: Callable[..., Context]
+) -> None:
+    life = Life(loop, make_context(), seed=1)
+    life.half.carried.endpoints = (TALKER,)
+
+    def judged(seconds: int) -> int:
+        with patch.object(Route, "_judged", autospec=True, side_effect=Route._judged) as judging:
+            for _ in range(seconds):
+                loop.jump(1.0)
+                life.half.flow.count(1, 100, loop.time())
+                life.half.route.tick()
+        return judging.call_count
+
+    assert judged(30) < 20
+    assert judged(30) == 0
+    life.peer.path.fault = PathFault(LinkCause.SILENT, "a fault of the path")
+    assert judged(5) == 5

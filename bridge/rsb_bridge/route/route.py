@@ -427,10 +427,10 @@ class Route:
 
     @property
     def only_counts(self) -> bool:
-        """Whether it is in order, and nothing but figures may differ from its last snapshot."""
-        verdict = self._verdict
-        fine = verdict is not None and verdict.state is State.OK and not self.arming.required
-        return fine and self.idling.signs is self._shown_signs
+        """Whether nothing but figures may differ from its last snapshot."""
+        if self._verdict is None or self._verdict.state not in _LASTS or self.arming.required:
+            return False
+        return self.idling.signs is self._shown_signs and not self.judged.announced.verdict.lasting
 
     def _signs(self) -> Signs:
         """Return what changes if anything happens to it, apart from messages and the passing of time."""

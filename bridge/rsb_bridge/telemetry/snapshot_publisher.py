@@ -31,8 +31,9 @@ _SELDOM = 1.5  # Hz; somebody who looks no more often, as a log does once a seco
 _EVERY, _EVERY_LOOKED_AT = 1.0, 0.25  # s from one renewal to the next
 _CLOCK_SET = 0.1  # s by which the shown times of routes to which nothing happens may be wrong
 _CAUGHT_UP_WITHIN = 0.5  # s that the first look after a while waits; 1,000 routes take 0.05 s. A round figure
-# Renewals while nobody looks until each route's figures had their turn: the history adds them up by the minute.
-_FIGURES_EVERY = 10
+# Renewals while nobody looks until each route's figures had their turn. The history adds them up by the minute: what
+# falls into the next one is a twelfth at most.
+_FIGURES_EVERY = 5
 _HANGS_AFTER = 10.0  # s without a renewal. A round figure: on a busy machine, threads were seen to stand still for 3 s
 # s that a timer may come early. Without it, such a turn would be counted as the one before, and done twice.
 _EARLY = 0.01
@@ -92,9 +93,8 @@ class SnapshotPublisher:
     """Renews the snapshot: all of it for somebody who looks, else what has changed, once a second, for the record.
 
     Attributes:
-        latest: the newest snapshot; replaced, never changed, so that any thread may read it. While nobody looks, the
-            figures of a route in order may be `_FIGURES_EVERY` s old, and idle ones are as they were when they became
-            so.
+        latest: the newest snapshot; replaced, never changed, so that any thread may read it. While nobody looks, a
+            route's figures may be `_FIGURES_EVERY` s old, and idle ones are as they were when they became so.
     """
 
     def __init__(self, blank: Snapshot, events: EventLog, clock: Clock) -> None:
