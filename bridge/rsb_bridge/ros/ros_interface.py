@@ -68,6 +68,12 @@ _WITH_KEY = frozenset({b"\x02", b"\x07"})
 """Of a user's writer and reader (RTPS 2.5, 9.3.1.2)."""
 
 
+_VENDORS = b"\x01"
+"""The first byte of all vendors' ids. Other middlewares' ids of endpoints may begin with anything."""
+_REPEAT = frozenset({b"\x01\x0f", b"\x01\x10"})
+"""Vendors that repeat what is lost: Fast DDS and Cyclone DDS, as tests show."""
+
+
 class TopicSpec(NamedTuple):
     """A topic to subscribe to or to publish.
 
@@ -118,6 +124,11 @@ class Endpoint(NamedTuple):
     qos: Qos
     gid: bytes = b""
     is_durable: bool = False
+
+    @property
+    def may_not_repeat(self) -> bool:
+        """Whether it is announced as reliable by a DDS that may be so in name only, by the vendor's id in a GUID."""
+        return self.qos.reliability == "reliable" and self.gid[:1] == _VENDORS and self.gid[:2] not in _REPEAT
 
     @property
     def has_key(self) -> bool:

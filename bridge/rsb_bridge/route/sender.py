@@ -332,7 +332,7 @@ class Sender:
         if self.route.limit.set_profile_rate(profile_rate) and self.route.id:
             self.route.peer.send(Limit(route=self.route.id, max_rate=self.route.limit.own))
         self.flow.act(now, awaited=crossing.flows or self.facts.lacks_publisher(crossing))
-        self.subscription.tick()
+        self.subscription.tick(self.carried.endpoints)
         if self.route.age.publishers.since is None and crossing.flows and not self.flow.is_latched:
             self._tick_clocks()
 
