@@ -134,9 +134,9 @@ class Endpoint(NamedTuple):
     def has_key(self) -> bool:
         """Whether its type has a key, by the kind in a GUID of DDS. Neither the type's hash nor its description tells.
 
-        Only where DDS does not match it: other middlewares' ids have no kind.
+        Other middlewares' ids have no kind.
         """
-        return self.gid[_KIND_AT : _KIND_AT + 1] in _WITH_KEY
+        return self.gid[:1] == _VENDORS and self.gid[_KIND_AT : _KIND_AT + 1] in _WITH_KEY
 
 
 class LostPort(NamedTuple):

@@ -201,7 +201,7 @@ class Sender:
         sources, qos = self.loop_filter.table.sources, resolved.qos
         if self.route.arming.required:
             qos = without_history(qos)
-        return Describe(route=self.route.id, type=resolved.type, type_hash=resolved.type_hash, qos=qos, sources=sources)
+        return Describe(self.route.id, resolved.type, resolved.type_hash, qos, sources, resolved.keyed)
 
     def _subscribe(self) -> None:
         if self.subscription.spec is None or self.subscription.active:
