@@ -74,6 +74,11 @@ _REPEAT = frozenset({b"\x01\x0f", b"\x01\x10"})
 """Vendors that repeat what is lost: Fast DDS and Cyclone DDS, as tests show."""
 
 
+def has_key(gid: bytes) -> bool:
+    """Whether the type of an endpoint has a key, by the kind in its GUID. Other middlewares' ids have no kind."""
+    return gid[:1] == _VENDORS and gid[_KIND_AT : _KIND_AT + 1] in _WITH_KEY
+
+
 class TopicSpec(NamedTuple):
     """A topic to subscribe to or to publish.
 
@@ -132,11 +137,8 @@ class Endpoint(NamedTuple):
 
     @property
     def has_key(self) -> bool:
-        """Whether its type has a key, by the kind in a GUID of DDS. Neither the type's hash nor its description tells.
-
-        Other middlewares' ids have no kind.
-        """
-        return self.gid[:1] == _VENDORS and self.gid[_KIND_AT : _KIND_AT + 1] in _WITH_KEY
+        """Whether its type has a key. Neither the type's hash nor its description tells."""
+        return has_key(self.gid)
 
 
 class LostPort(NamedTuple):
