@@ -17,10 +17,12 @@ from tests.support.bridge import heard, route
 from tests.support.domain import text
 from tests.support.waiting import eventually
 
+from rsb_bridge.cdr.description import TypeClash
 from rsb_bridge.model.faults import is_wrong
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.verdict import Cause
+from rsb_bridge.ros.distribution import package_of
 from rsb_bridge.ros.ros_interface import BARE_DDS
 from rsb_bridge.route.listeners import DURABLE, DeafText, UnmatchedText
 from rsb_bridge.route.topic_verdict import PUBLISHED_NOTHING
@@ -28,7 +30,7 @@ from rsb_bridge.route.topic_verdict import PUBLISHED_NOTHING
 pytest.importorskip("cyclonedds", reason="cyclonedds is not installed: it has wheels for Python 3.11 to 3.13")
 
 from cyclonedds.core import Policy
-from tests.support.cyclone import KEYED, TIME, XCDR2, CycloneProgram
+from tests.support.cyclone import HASHED, KEYED, NAMED, TIME, XCDR2, CycloneProgram
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -306,3 +308,14 @@ def test_nameless_subscription_of_another_type_is_a_note(bridge: Bridge, robot: 
             for side in server, client:
                 eventually(lambda side=side: route(side, "/ticks").state == "ok")
                 assert "of no known node has builtin_interfaces/msg/Time" in route(side, "/ticks").reason
+
+
+def test_keyed_type_that_is_not_installed_is_refused(bridge: Bridge, robot: Domain) -> None:
+    """No subscription there would match what a bridge without the type publishes."""
+    with closing(CycloneProgram(robot.id)) as near:
+        near.writer("/named", USUAL, NAMED, HASHED)
+        server, client = bridge.both(Topic("/named", "transmit"))
+        expected = TypeClash.KEYED(type="made_up_msgs/msg/Named", package=package_of("made_up_msgs"))
+        for side in server, client:
+            eventually(lambda side=side: expected in route(side, "/named").reason)
+            assert (route(side, "/named").state, is_wrong(route(side, "/named"))) == ("down", True)

@@ -13,7 +13,7 @@ from tests.support.captured import captured
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.config.session_file import save
 from rsb_bridge.model.session import Session
-from rsb_bridge.ros.distribution import MiddlewareProblem, check_middleware, package_of
+from rsb_bridge.ros.distribution import MiddlewareProblem, check_libraries, check_middleware, package_of
 from rsb_bridge.ros.ros_interface import RosError
 
 COMMAND = str(Path(sys.executable).with_name("rsb-console"))
@@ -67,3 +67,34 @@ def test_the_index_of_every_installation_is_read(tmp_path: Path) -> None:
 def test_installation_without_index_is_left_to_rcl(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     constants.ROS_PREFIX.set(monkeypatch, str(tmp_path))
     check_middleware({"RMW_IMPLEMENTATION": "rmw_nonsense_cpp"})
+
+
+def test_program_started_by_another_environment_names_both(tmp_path: Path) -> None:
+    """Its wheels' libraries would be loaded, as its variables are inherited."""
+    theirs = tmp_path.resolve() / "kilted"
+    inherited = {
+        "LD_LIBRARY_PATH": str(theirs / "lib/python3.11/site-packages/ros_rclpy.libs"),
+        "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1",
+    }
+    if not any(Path(sys.prefix).glob("lib/python*/site-packages/ros_rclpy.libs")):
+        pytest.skip("this Python's ROS does not come as wheels")
+    write_key(tmp_path / "robot1.key")
+    session = Session(name="robot1", role="client", server_ip="127.0.0.1", server_port=49152, key_file="robot1.key")
+    save(session, tmp_path / "robot1.yaml")
+    run = captured(COMMAND, "run", str(tmp_path / "robot1.yaml"), "--no-ui", env={**os.environ, **inherited})
+    assert run.returncode == 1, run
+    [line] = run.stderr.splitlines()
+    assert f"of {Path(sys.prefix).resolve()} would load the libraries of {theirs}," in line
+    assert "env -u LD_LIBRARY_PATH -u _ROS_WHEELS_BOOTSTRAP_COMPLETE" in line
+
+
+def test_own_libraries_may_come_after_others(tmp_path: Path) -> None:
+    ours, theirs = (tmp_path / name / "lib/python3.11/site-packages/ros_rclpy.libs" for name in ("ours", "theirs"))
+    for each in ours, theirs:
+        each.mkdir(parents=True)
+    variables = {"_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"}
+    check_libraries(variables | {"LD_LIBRARY_PATH": f"/usr/lib:{theirs}:{ours}"}, tmp_path / "ours")
+    check_libraries({"LD_LIBRARY_PATH": str(theirs)}, tmp_path / "ours")
+    check_libraries(variables | {"LD_LIBRARY_PATH": str(theirs)}, tmp_path / "a_setup_file")
+    with pytest.raises(RosError, match=r"ours would load the libraries of .*theirs"):
+        check_libraries(variables | {"LD_LIBRARY_PATH": str(theirs)}, tmp_path / "ours")

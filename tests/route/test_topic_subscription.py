@@ -14,7 +14,7 @@ from rsb_bridge.model.keep import Keep
 from rsb_bridge.model.qos import Qos, auto_depth
 from rsb_bridge.ros.no_ros import NoRos
 from rsb_bridge.ros.publication_numbers import Untaken
-from rsb_bridge.ros.ros_interface import Liveliness, TopicSpec
+from rsb_bridge.ros.ros_interface import Endpoint, Liveliness, RawMessage, TopicSpec
 from rsb_bridge.route.topic_subscription import TopicSubscription
 from rsb_bridge.telemetry.meters import RateMeter
 
@@ -42,14 +42,15 @@ class FakeRos(NoRos):
     def __init__(self) -> None:
         self.made: list[FakeSubscription] = []
 
-    def subscribe(self, spec: TopicSpec, *_: Any, express: bool = False) -> Any:
-        self.made.append(FakeSubscription(spec.qos, express=express))
+    def subscribe(self, spec: TopicSpec, sink: Any, *_: Any, express: bool = False) -> Any:
+        self.made.append(FakeSubscription(spec.qos, sink, express=express))
         return self.made[-1]
 
 
 class FakeSubscription:
-    def __init__(self, qos: Qos, *, express: bool) -> None:
+    def __init__(self, qos: Qos, sink: Any, *, express: bool) -> None:
         self.qos = qos
+        self.hear = sink
         self.express = express
         self.matched = 1
         self.liveliness = Liveliness(alive=0, unjudged=1)
@@ -85,6 +86,8 @@ class Owner:
         self.notices = SimpleNamespace(record=lambda text: None)
         self.context: Any = None
         self.ends: Any = None
+
+    def wake(self) -> None: ...
 
     def log(self, level: object, code: EventCode, text: str) -> None:
         self.events.append(code)
@@ -199,6 +202,44 @@ def test_losses_deepen_subscription_of_busy_topic(loop: VirtualLoop, make_contex
     assert owner.events == [EventCode.ROUTE_DEEPENED]
     assert subscription.close() == 0
     assert ros.made[1].closed
+
+
+@pytest.mark.parametrize(
+    ("vendor", "hears", "heard", "asked"),
+    [
+        (b"\x01\x12", False, True, ["reliable", "best_effort", "best_effort", "reliable"]),
+        (b"\x01\x12", False, False, ["reliable", "best_effort"]),
+        (b"\x01\x12", True, True, ["reliable"]),
+        (b"\x01\x0f", False, True, ["reliable"]),
+        (b"ta", False, True, ["reliable"]),
+    ],
+)
+def test_publisher_that_is_reliable_in_name_only(
+    vendor: bytes,
+    hears: bool,
+    heard: bool,
+    asked: list[str],
+    loop: VirtualLoop,
+    make_context: Callable[..., Context],
+) -> None:
+    """Once it has gone, a reliable subscription serves the others again."""
+    ros, owner = FakeRos(), Owner()
+    subscription = make_subscription(make_context(ros), owner, Qos(), automatic=True)
+    rust = Endpoint("/rust", STRING, "", Qos(), vendor.ljust(16, b"\1"))
+    for second in range(12):
+        if hears and second == 3:
+            subscription.numbers.newest[rust.gid] = 1
+        if heard and len(ros.made) == 2 and not ros.made[1].closed:
+            ros.made[1].hear([RawMessage(b"", 0, rust.gid, 1)])
+        subscription.tick([rust])
+        loop.run_until_complete(asyncio.sleep(1))
+    assert owner.events == ([EventCode.ROUTE_UNRELIABLE] if len(asked) > 2 else [])
+    subscription.tick()
+    assert [each.qos.reliability for each in ros.made] == asked
+    # Only the further subscription comes and goes beside the first.
+    open_now = [each.qos.reliability for each in ros.made if not each.closed]
+    assert open_now == ["reliable"]
+    subscription.close()
 
 
 def test_dds_is_asked_anew_who_is_alive(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:

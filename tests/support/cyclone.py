@@ -39,7 +39,14 @@ KEYED = make_idl_struct("String", _TYPE, {"data": str}, field_annotations={"data
 """Among the policies of an endpoint: its type is a String whose text is a key."""
 TIME = make_idl_struct("Time", "builtin_interfaces::msg::dds_::Time_", {"sec": types.int32, "nanosec": types.uint32})
 """Another type, in the same place."""
-_OTHER_TYPES = (KEYED, TIME)
+NAMED = make_idl_struct(
+    "Named", "made_up_msgs::msg::dds_::Named_", {"data": str}, field_annotations={"data": {"key": True}}
+)
+"""A type with a key that is installed nowhere."""
+_OTHER_TYPES = (KEYED, TIME, NAMED)
+HASH = "RIHS01_" + 32 * "5a"
+HASHED = Policy.Userdata(f"typehash={HASH};".encode())
+"""Tells ROS a hash of the type."""
 XCDR2 = Policy.DataRepresentation(use_xcdrv2_representation=True)
 
 
@@ -59,7 +66,7 @@ class CycloneProgram:
         """Write to a topic.
 
         Args:
-            more: policies of Cyclone that ROS does not have, `KEYED` or `TIME`.
+            more: policies of Cyclone that ROS does not have, or a type.
         """
         given, type_, partition = _given(qos, more)
         group = Publisher(self._participant, qos=partition)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 import errno
+import os
 import socket
 from typing import TYPE_CHECKING
 
@@ -14,7 +16,7 @@ from tests.support.ports import free_port
 
 from rsb_bridge.transport import multipath
 from rsb_bridge.transport.streams import StreamHandler
-from rsb_bridge.transport.tcp import Tcp
+from rsb_bridge.transport.tcp import Tcp, TcpStream
 
 if TYPE_CHECKING:
     from rsb_bridge.transport.streams import Stream
@@ -73,3 +75,26 @@ async def test_kernel_without_it_makes_plain_connections(monkeypatch: pytest.Mon
         stream = await Tcp(several_ways=True).connect("127.0.0.1", server.getsockname()[1], StreamHandler())
         assert stream.subflows() == ()
         stream.abort("over")
+
+
+class Unconnected(asyncio.Transport):
+    """The transport of a stream whose kernel has not fallen back yet."""
+
+    def set_write_buffer_limits(self, high: int | None = None, low: int | None = None) -> None: ...
+
+
+@needs_kernel
+async def test_time_to_give_up_is_set_once_the_stream_has_fallen_back() -> None:
+    """Multipath TCP refuses it, and a stream may become plain TCP at any time; here, as it connects to a plain one."""
+    with (
+        socket.create_server(("127.0.0.1", 0)) as plain,
+        multipath.new_socket(socket.AF_INET, socket.SOCK_STREAM) as sock,
+    ):
+        stream = TcpStream(StreamHandler(), set())
+        stream.connection_made(Unconnected({"socket": sock}))
+        stream.give_up_after(3.0)
+        with pytest.raises(OSError, match=os.strerror(errno.EOPNOTSUPP)):
+            sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT)
+        sock.connect(plain.getsockname())
+        stream.give_up_after(3.0)
+        assert sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT) == 3000

@@ -237,6 +237,7 @@ class TypeClash(Wording):
         "{type} differs between the two sides ({difference}): install the same version on both, and restart the bridge "
         "that had another"
     )
+    KEYED = "{type} has a key (@key), of which neither its hash nor its description tells: install {package} here"
     HASHES = "{there} there, {here} here"
 
 

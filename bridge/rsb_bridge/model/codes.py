@@ -204,6 +204,7 @@ class EventCode(StrEnum):
     """The publishers have another type than before, or some of them have."""
     ROUTE_TYPE_DIFFERS = "route.type_differs"
     ROUTE_DEEPENED = "route.deepened"
+    ROUTE_UNRELIABLE = "route.unreliable"
     """With `qos: auto`, a busier topic than before gets a deeper subscription."""
     ROUTE_SUBSCRIBE_FAILED = "route.subscribe_failed"
     ROUTE_PUBLISH_FAILED = "route.publish_failed"

@@ -23,6 +23,9 @@ DEFAULT: Final = "jazzy"
 _BY_RCLPY = {"3.3": "humble", "7.1": "jazzy", "9.1": "kilted"}
 """Distributions by their version of rclpy."""
 _VARIABLES = ("RMW_IMPLEMENTATION", "RCL_ASSERT_RMW_ID_MATCHES")
+_BOOTSTRAPPED = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
+_LIBRARIES = "ros_rclpy.libs"
+"""Folder of the libraries of rclpy's wheel, beside the package."""
 _INDEX = "share/ament_index/resource_index"
 SHARED = Path("/dev/shm")  # noqa: S108 -- where the C library has it
 _LEAST_SHARED = 64 << 10
@@ -94,6 +97,37 @@ def check_middleware(environment: Mapping[str, str]) -> None:
                     package=package_of(wanted),
                 )
             )
+
+
+class LibrariesProblem(Wording):
+    """The reasons why this process would load the libraries of another ROS than its own."""
+
+    OTHERS = (
+        "ROS 2 of {ours} would load the libraries of {theirs}, from which it was started: start it by "
+        "env -u LD_LIBRARY_PATH -u {variable} …"
+    )
+
+
+def check_libraries(environment: Mapping[str, str], prefix: Path = Path(sys.prefix)) -> None:
+    """Check that this Python loads its own ROS's libraries, if that was installed as wheels.
+
+    The wheels put their folders into ``LD_LIBRARY_PATH``, unless `_BOOTSTRAPPED` says that this was done. A child
+    process of another environment's Python inherits both, and what it loads then fails with some missing symbol.
+
+    Args:
+        prefix: of this Python's environment.
+
+    Raises:
+        RosError: they are another environment's; the message names both.
+    """
+    prefix = prefix.resolve()
+    if not environment.get(_BOOTSTRAPPED) or not any(prefix.glob(f"lib/python*/site-packages/{_LIBRARIES}")):
+        return
+    folders = [Path(each).resolve() for each in environment.get("LD_LIBRARY_PATH", "").split(":") if each]
+    found = [each for each in folders if each.name == _LIBRARIES]
+    if found and not any(each.is_relative_to(prefix) for each in found):
+        theirs = found[0].parents[3]  # …/lib/python3.11/site-packages
+        raise RosError(LibrariesProblem.OTHERS(ours=prefix, theirs=theirs, variable=_BOOTSTRAPPED))
 
 
 class MemoryProblem(Wording):

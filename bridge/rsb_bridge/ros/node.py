@@ -15,7 +15,7 @@ from weakref import WeakSet
 
 from rsb_bridge.model.qos import incompatible
 from rsb_bridge.ros.discovery import Discovery, whole_graph
-from rsb_bridge.ros.distribution import check_middleware, check_shared_memory
+from rsb_bridge.ros.distribution import check_libraries, check_middleware, check_shared_memory
 from rsb_bridge.ros.memory import histories_that_shrink, large_blocks_kept
 from rsb_bridge.ros.native.shared_memory import ReadPorts
 from rsb_bridge.ros.native.typesupport import hash_of, installed_class, installed_service, service_hash_of
@@ -120,6 +120,7 @@ class RosNode:
             RosError: rclpy or the middleware is missing, or the domain could not be joined.
         """
         # Before rclpy is loaded, as loading it would end the process.
+        check_libraries(os.environ)
         check_middleware(os.environ)
         check_shared_memory()
         try:

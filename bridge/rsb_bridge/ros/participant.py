@@ -186,7 +186,8 @@ class Participant:
         topic, type_name, type_hash, qos = spec
         if qos.history == "keep_all":
             qos = msgspec.structs.replace(qos, history="keep_last", depth=_KEPT)
-        return Writer(self._create("publisher", topic, borrow_type(type_name, type_hash), qos))
+        borrowed = borrow_type(type_name, type_hash)
+        return Writer(self._create("publisher", topic, borrowed, qos), borrowed.interface)
 
     def create_server(self, service: str, type_name: str, type_hash: str) -> RawServiceServer | TypedServer:
         """Create a raw service; errors as `create_reader`."""

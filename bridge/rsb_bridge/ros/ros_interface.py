@@ -68,6 +68,17 @@ _WITH_KEY = frozenset({b"\x02", b"\x07"})
 """Of a user's writer and reader (RTPS 2.5, 9.3.1.2)."""
 
 
+_VENDORS = b"\x01"
+"""The first byte of all vendors' ids. Other middlewares' ids of endpoints may begin with anything."""
+_REPEAT = frozenset({b"\x01\x0f", b"\x01\x10"})
+"""Vendors that repeat what is lost: Fast DDS and Cyclone DDS, as tests show."""
+
+
+def has_key(gid: bytes) -> bool:
+    """Whether the type of an endpoint has a key, by the kind in its GUID. Other middlewares' ids have no kind."""
+    return gid[:1] == _VENDORS and gid[_KIND_AT : _KIND_AT + 1] in _WITH_KEY
+
+
 class TopicSpec(NamedTuple):
     """A topic to subscribe to or to publish.
 
@@ -120,12 +131,14 @@ class Endpoint(NamedTuple):
     is_durable: bool = False
 
     @property
-    def has_key(self) -> bool:
-        """Whether its type has a key, by the kind in a GUID of DDS. Neither the type's hash nor its description tells.
+    def may_not_repeat(self) -> bool:
+        """Whether it is announced as reliable by a DDS that may be so in name only, by the vendor's id in a GUID."""
+        return self.qos.reliability == "reliable" and self.gid[:1] == _VENDORS and self.gid[:2] not in _REPEAT
 
-        Only where DDS does not match it: other middlewares' ids have no kind.
-        """
-        return self.gid[_KIND_AT : _KIND_AT + 1] in _WITH_KEY
+    @property
+    def has_key(self) -> bool:
+        """Whether its type has a key. Neither the type's hash nor its description tells."""
+        return has_key(self.gid)
 
 
 class LostPort(NamedTuple):

@@ -285,7 +285,7 @@ def _messages_cross(endpoints: _Endpoints, interface: type) -> None:
     """Publish a message, and compare the taken one. If a middleware takes too long, the test passes."""
     reader = Reader(endpoints.make("subscription", interface), TakeBuffer(), frozenset())
     endpoints.closed_at_end(reader)
-    writer = Writer(endpoints.make("publisher", interface))
+    writer = Writer(endpoints.make("publisher", interface), interface)
     endpoints.closed_at_end(writer)
     # The answers do not matter, only whether this distribution takes these arguments.
     for question in (PUBLISHERS, SUBSCRIPTIONS):
@@ -313,7 +313,7 @@ def _arrivals_are_told(endpoints: _Endpoints, interface: type) -> None:
         reset_error()
         raise _DiffersError(_ARRIVALS)
     endpoints.ending.callback(ON_ARRIVAL["subscription"], reader.handle.address, None, None)
-    writer = Writer(endpoints.make("publisher", interface))
+    writer = Writer(endpoints.make("publisher", interface), interface)
     endpoints.closed_at_end(writer)
     writer.publish(_PAYLOAD)
     told, _, _ = select.select([descriptor], [], [], _WITHIN)

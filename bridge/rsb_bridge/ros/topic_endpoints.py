@@ -6,9 +6,11 @@ rclpy hides the publisher of a message taken, so rcl is called for it.
 from __future__ import annotations
 
 import ctypes
+import math
 import threading
 import time
 from contextlib import suppress
+from functools import partial
 from typing import TYPE_CHECKING, Literal
 
 from rsb_bridge.ros.native import cyclone_dds
@@ -26,9 +28,9 @@ from rsb_bridge.ros.native.librcl import (
     take_message,
     wait_for_all_acked,
 )
-from rsb_bridge.ros.native.rclpy_extension import assert_liveliness, reason_of, refuses
+from rsb_bridge.ros.native.rclpy_extension import assert_liveliness, deserialize, reason_of, refuses
 from rsb_bridge.ros.publication_numbers import PublicationNumbers
-from rsb_bridge.ros.ros_interface import Liveliness, RawMessage, RosError, RosProblem
+from rsb_bridge.ros.ros_interface import Liveliness, RawMessage, RosError, RosProblem, has_key
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
@@ -180,12 +182,20 @@ class Writer:
         told: what the middleware says of its messages: another id than `gid` where that is Cyclone DDS.
     """
 
-    def __init__(self, handle: Handle) -> None:
+    def __init__(self, handle: Handle, interface: type) -> None:
+        """Begin to publish.
+
+        Args:
+            interface: the class of the messages.
+        """
         self.topic: str = handle.rclpy.get_topic_name()
         self.told = gid_of(handle.address)
         self.gid = cyclone_dds.guid_of_publisher(handle.address) if cyclone_dds.is_used() else self.told
         self._handle = handle
-        self._publish = handle.rclpy.publish_raw
+        # From Kilted on, Fast DDS wants the key of each message, and rmw_fastrtps (9.3.3) crashes where it looks for it
+        # in a serialized one.
+        self._publish = partial(_publish_typed, handle, interface) if has_key(self.gid) else handle.rclpy.publish_raw
+        self._large = math.inf if has_key(self.gid) else _LARGE
         self._closed = self._freed = False
         self._using = threading.Lock()
 
@@ -198,7 +208,7 @@ class Writer:
         if len(payload) < 4:
             raise RosError(f"{self.topic}: {RosProblem.MESSAGE_TOO_SHORT(length=len(payload))}")
         try:
-            if len(payload) < _LARGE:
+            if len(payload) < self._large:
                 self._publish(payload)
             elif len(payload) < _LONG:
                 self._publish_in_place(publish_message, payload)
@@ -269,3 +279,7 @@ class Writer:
                     self._handle.free()
             finally:
                 self._using.release()
+
+
+def _publish_typed(handle: Handle, interface: type, payload: bytes) -> None:
+    handle.rclpy.publish(deserialize(payload, interface))

@@ -127,7 +127,7 @@ class _Publisher:
 
 
 @dataclass(slots=True)
-class Remembered:
+class RememberedHistories:
     """What a route remembers of a latched topic's publishers over its openings; histories keep it up.
 
     Attributes:
@@ -157,7 +157,7 @@ class Histories:
         depth: int,
         lifespan: float,
         known: Mapping[bytes, int],
-        remembered: Remembered,
+        remembered: RememberedHistories,
     ) -> None:
         """Begin without publishers.
 

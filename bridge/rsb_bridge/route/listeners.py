@@ -67,7 +67,7 @@ class DeafText(Wording):
 class UnmatchedText(Wording):
     """Reasons why DDS does not match an endpoint whose type's name and QoS fit, with the remedy."""
 
-    KEY = "its type has a key (@key) and the bridge's has none: use the type of ROS"
+    KEY = "its type has a key (@key) and the bridge's has none: install its package here, or use a type without"
     REFUSED = "its data representation or its ownership differs: set XCDR1 and shared ownership"
     OTHER = "its partition, security or type definition differs: set them as in ROS nodes"
 

@@ -15,6 +15,7 @@ from rsb_bridge.model.reason import Reason
 from rsb_bridge.model.snapshot import Level, State
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.verdict import Cause
+from rsb_bridge.ros.distribution import package_of
 from rsb_bridge.ros.ros_interface import RosError, TopicSpec
 from rsb_bridge.route.arming import without_history
 from rsb_bridge.route.combined_verdict import lasting, record_of
@@ -192,6 +193,10 @@ class Receiver:
             self._refuse_type(TypeClash.NOT_AGREED(there=description.type, agreed=agreed))
             return False
         installed = self.route.context.ros.installed_hash(description.type)
+        if description.keyed and not installed:
+            package = package_of(description.type.partition("/")[0])
+            self._refuse_type(TypeClash.KEYED(type=description.type, package=package))
+            return False
         if not installed or installed == description.type_hash:
             return True
         opening = self.route.id

@@ -38,6 +38,7 @@ class Resolved(NamedTuple):
     type_hash: str
     qos: Qos
     warning: str  # the publishers that are left out, for an operator, or empty
+    keyed: bool  # whether its publishers' type has a key
 
 
 class Elsewhere(NamedTuple):
@@ -119,7 +120,8 @@ class Resolver:
             qos = msgspec.structs.replace(qos, depth=0)
         if not name or qos is None:
             raise UnresolvedError("", cause=Cause.NO_PUBLISHER)
-        return Resolved(name, type_hash, qos, warning)
+        keyed = any(each.has_key for each in publishers if each.type_name == name)
+        return Resolved(name, type_hash, qos, warning, keyed)
 
     def why(self) -> str:
         """Return the reason why type or QoS is unknown, or an empty string."""

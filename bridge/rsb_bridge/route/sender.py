@@ -206,7 +206,7 @@ class Sender:
         sources, qos = self.loop_filter.table.sources, resolved.qos
         if self.route.arming.required:
             qos = without_history(qos)
-        return Describe(route=self.route.id, type=resolved.type, type_hash=resolved.type_hash, qos=qos, sources=sources)
+        return Describe(self.route.id, resolved.type, resolved.type_hash, qos, sources, resolved.keyed)
 
     def _subscribe(self) -> None:
         if self.subscription.spec is None or self.subscription.active:
@@ -344,7 +344,7 @@ class Sender:
         if self.route.limit.set_profile_rate(profile_rate) and self.route.id:
             self.route.peer.send(Limit(route=self.route.id, max_rate=self.route.limit.own))
         self.flow.act(now, awaited=crossing.flows or self.facts.lacks_publisher(crossing))
-        self.subscription.tick()
+        self.subscription.tick(self.carried.endpoints)
         if self.route.age.publishers.since is None and crossing.flows and not self.flow.is_latched:
             self._tick_clocks()
 

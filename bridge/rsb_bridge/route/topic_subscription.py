@@ -17,17 +17,18 @@ from rsb_bridge.model.snapshot import Level
 from rsb_bridge.ros.lasting_subscription import LastingSubscription
 from rsb_bridge.ros.publication_numbers import PublicationNumbers, Untaken
 from rsb_bridge.ros.ros_interface import BATCH, RosError
-from rsb_bridge.route.history_depth import Histories, Remembered, note_taken
+from rsb_bridge.route.combined_verdict import named
+from rsb_bridge.route.history_depth import Histories, RememberedHistories, note_taken
 from rsb_bridge.route.lease import Marker
 from rsb_bridge.route.peer_budget import TypeUse
 from rsb_bridge.route.route import promised_keep
 
 if TYPE_CHECKING:
     import asyncio
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Collection, Mapping, Sequence
 
     from rsb_bridge.model.qos import Qos
-    from rsb_bridge.ros.ros_interface import OnFailure, RawMessage, Subscription, TopicSpec
+    from rsb_bridge.ros.ros_interface import Endpoint, OnFailure, RawMessage, Subscription, TopicSpec
     from rsb_bridge.route.loop_filter import LoopFilter
     from rsb_bridge.route.route import Route
     from rsb_bridge.route.sending import OutgoingPath
@@ -37,6 +38,9 @@ if TYPE_CHECKING:
 _LOOKS_EVERY = 1.0  # s, at most, between two looks at who is alive
 _ASKED_ANEW = 10.0, 60.0  # s: most until DDS is first asked again who is alive, least between later questions
 _SHALLOW = 8  # messages that are kept: fewer could be overwritten before a turn that waits (`ros.turn_pacing`)
+_UNHEARD_FOR, _UNHEARD_BESIDES = 5.0, 2.0
+"""s for which a publisher is not heard until a further subscription listens, and after that has heard it."""
+_BEST_EFFORT = "subscribed as best_effort, which hears it; what is lost stays lost"
 _MATCHED_WITHIN = 2  # ticks: DDS matches a publisher that it lists within milliseconds
 
 
@@ -77,9 +81,10 @@ class TopicSubscription:
         self._receiver = _Receiver(path.offer)
         self._subscription: LastingSubscription | None = None
         self._depth = 0
-        self._remembered = Remembered()  # of a latched topic
+        self._remembered = RememberedHistories()  # of a latched topic
         self._lost_seen = 0
         self._unmatched_ticks = 0
+        self._reliability = _Reliability(route, self._unreliable)
 
     # --- the subscription
 
@@ -90,6 +95,7 @@ class TopicSubscription:
             known: for each publisher of a latched topic, the number of the newest message that the peer has.
         """
         self.spec = spec
+        self._reliability = _Reliability(self._route, self._unreliable)
         # A new one: what is still queued for the former one is of an earlier opening, and so are the losses until now.
         self._receiver = _Receiver(self._path.offer)
         self._lost_seen = self._lost
@@ -128,6 +134,7 @@ class TopicSubscription:
         if self._liveliness is not None:
             self._liveliness.close()
             self._liveliness = None
+        self._reliability.ask_no_further()
         if self._subscription is not None:
             self._subscription.close()
             self._subscription = None
@@ -196,11 +203,17 @@ class TopicSubscription:
         """Whether DDS had matched no publisher at the last tick."""
         return self._unmatched_ticks > 0
 
-    def tick(self) -> None:
-        """Subscribe again if DDS has lost messages that a deeper history would have kept. Called once a second."""
+    def tick(self, publishers: Sequence[Endpoint] = ()) -> None:
+        """Subscribe again if that brings what DDS has lost, or does not give. Called once a second.
+
+        Args:
+            publishers: the topic's present ones.
+        """
         if self._subscription is None:
             return
         self._unmatched_ticks = 0 if self._subscription.matched else self._unmatched_ticks + 1
+        if self.receives and self.spec is not None:
+            self._reliability.look(self.spec, publishers, self.numbers.newest)
         if self._lost == self._lost_seen:
             return
         self._lost_seen = self._lost
@@ -217,9 +230,14 @@ class TopicSubscription:
         qos = self.spec.qos if self.spec is not None else None
         return self._is_automatic and qos is not None and not qos.latched and qos.history != "keep_all"
 
+    def _unreliable(self) -> None:
+        """Subscribe again, as it has turned out whether a publisher is reliable in name only."""
+        if self._subscription is not None:
+            self._subscription.reopen()
+
     def _qos(self) -> Qos:
         assert self.spec is not None
-        qos, meter = self.spec.qos, self._route.meter
+        qos, meter = self._reliability.asked(self.spec.qos), self._route.meter
         if qos.latched:
             return msgspec.structs.replace(qos, history="keep_all")  # each publisher keeps what it keeps
         if not self._is_deepened:
@@ -345,6 +363,80 @@ class _Liveliness:
     def close(self) -> None:
         self._looks_again.cancel()
         self._ask_no_further()
+
+
+class _Reliability:
+    """Finds publishers that are announced as reliable and repeat nothing: only best-effort subscriptions hear them.
+
+    RustDDS without a policy is such a one (0.15.1): a reliable subscription that is made after its first message is
+    matched, waits for what it has missed, and gets nothing for ever. Beside one that is unheard, a best-effort
+    subscription shows whether it publishes.
+    """
+
+    def __init__(self, route: Route, changed: Callable[[], None]) -> None:
+        """Trust all publishers.
+
+        Args:
+            changed: called after the answer of `asked` has changed.
+        """
+        self._route = route
+        self._changed = changed
+        self._unheard_since: dict[bytes, float] = {}  # s, by publisher
+        self._besides: Subscription | None = None
+        self._heard_besides: dict[bytes, float] = {}  # s, when the further subscription first heard a publisher
+        self._found = b""
+
+    def asked(self, qos: Qos) -> Qos:
+        """Return the QoS to ask for where a topic has this one."""
+        return msgspec.structs.replace(qos, reliability="best_effort") if self._found else qos
+
+    def look(self, spec: TopicSpec, publishers: Sequence[Endpoint], heard: Collection[bytes]) -> None:
+        """Judge the publishers. Called once a second.
+
+        Args:
+            heard: those that the reliable subscription has heard.
+        """
+        now, doubtful = self._route.context.loop.time(), {each.gid: each for each in publishers if each.may_not_repeat}
+        if self._found:
+            if self._found not in doubtful:  # it has gone
+                self._found = b""
+                self._changed()
+            return
+        unheard = {*doubtful} - {*heard} if spec.qos.reliability == "reliable" else set()
+        self._unheard_since = {gid: self._unheard_since.get(gid, now) for gid in unheard}
+        if not any(now - since >= _UNHEARD_FOR for since in self._unheard_since.values()):
+            self.ask_no_further()
+            return
+        if self._besides is None:
+            self._ask(spec)
+        for gid in unheard:
+            if now - self._heard_besides.get(gid, now) >= _UNHEARD_BESIDES:
+                self._found = gid
+                self.ask_no_further()
+                text = f"{named([doubtful[gid].node])} repeats nothing, though it publishes as reliable: {_BEST_EFFORT}"
+                self._route.log(Level.WARNING, EventCode.ROUTE_UNRELIABLE, text)
+                self._changed()
+                return
+
+    def ask_no_further(self) -> None:
+        """Close the further subscription. May be called twice."""
+        self._heard_besides = {}
+        if self._besides is not None:
+            self._besides.close()
+            self._besides = None
+
+    def _ask(self, spec: TopicSpec) -> None:
+        context, heard = self._route.context, self._heard_besides
+
+        def hear(batch: Sequence[RawMessage]) -> None:
+            for each in batch:
+                heard.setdefault(each.gid, context.loop.time())
+            self._route.wake()  # an idle route is not looked at
+
+        qos = msgspec.structs.replace(spec.qos, reliability="best_effort", history="keep_last", depth=1)
+        sink = partial(context.ros_queue.put, _Receiver(hear))
+        with suppress(RosError):
+            self._besides = self._route.ends.subscribe(spec._replace(qos=qos), sink, self._route.peer.name)
 
 
 class _Receiver:

@@ -97,7 +97,7 @@ class TcpStream(Stream):
         super().__init__(handler)
         self._ending = ending
         self._given_up_after = 0.0
-        self._retried_after = RETRIED_AFTER
+        self._retried_after = 0  # s, of the kernel: unknown
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         set_options(transport.get_extra_info("socket"))
@@ -127,10 +127,11 @@ class TcpStream(Stream):
 
     def give_up_after(self, seconds: float) -> None:
         if self._transport is not None and seconds != self._given_up_after:  # it is called each second
-            self._given_up_after = seconds
+            # Multipath TCP refuses it, until the stream falls back to plain TCP, which may be at any time.
             with contextlib.suppress(OSError):
                 sock = self._transport.get_extra_info("socket")
                 sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, int(seconds * 1000))
+                self._given_up_after = seconds
 
     def round_trip_is(self, seconds: float) -> None:
         """Have the kernel wait for acknowledgements longer than so long.
@@ -140,8 +141,9 @@ class TcpStream(Stream):
         """
         wanted = min(_MOST_RETRIED_AFTER, max(RETRIED_AFTER, int(_ROUND_TRIPS * seconds)))
         if self._transport is not None and wanted != self._retried_after:
-            self._retried_after = wanted
-            _retry_after(self._transport.get_extra_info("socket"), wanted)
+            with contextlib.suppress(OSError):  # as above, or the kernel has none
+                _retry_after(self._transport.get_extra_info("socket"), wanted)
+                self._retried_after = wanted
 
     def packets(self) -> PacketCounts | None:
         if self._transport is None:
@@ -264,14 +266,18 @@ def set_options(sock: socket.socket) -> None:
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, _KEEPALIVE_EVERY)
     with contextlib.suppress(OSError):  # Multipath TCP has none: the link finds out itself
         sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _GIVEN_UP_AFTER_MS)
-    _retry_after(sock, RETRIED_AFTER)
+    with contextlib.suppress(OSError):
+        _retry_after(sock, RETRIED_AFTER)
     prefer_bbr(sock)
 
 
 def _retry_after(sock: socket.socket, seconds: int) -> None:
-    """Have the kernel wait for so long at most between retransmissions, if it allows that."""
-    with contextlib.suppress(OSError):
-        sock.setsockopt(socket.IPPROTO_TCP, TCP_RTO_MAX_MS, seconds * 1000)
+    """Have the kernel wait for so long at most between retransmissions.
+
+    Raises:
+        OSError: it has no such option, or Multipath TCP refuses it.
+    """
+    sock.setsockopt(socket.IPPROTO_TCP, TCP_RTO_MAX_MS, seconds * 1000)
 
 
 def prefer_bbr(sock: socket.socket) -> None:

@@ -175,6 +175,8 @@ class Describe(ControlMessageBase, frozen=True):
     receiver likes."""
     sources: Annotated[tuple[Source, ...], Meta(min_length=1, max_length=MOST_SOURCES)]
     """Each gets a publisher, by its number. Described again, there may be more of them, never fewer."""
+    keyed: bool = False
+    """Whether the type has a key, as the kind of a publisher tells: only a side that has the type can publish it."""
 
     def __post_init__(self) -> None:
         check_qos(self.qos)

@@ -15,7 +15,14 @@ from typing import TYPE_CHECKING
 from rsb_bridge.feature_api import Check, Finding, Grade, RosError, Wording
 from rsb_bridge.model.limits import DOMAIN, SAFE_DOMAIN, dds_ports
 from rsb_bridge.ros.discovery import RANGE, SERVERS, SUPER_CLIENT, Discovery, DiscoveryText, is_off
-from rsb_bridge.ros.distribution import check_middleware, check_shared_memory, described, distribution, rclpy_version
+from rsb_bridge.ros.distribution import (
+    check_libraries,
+    check_middleware,
+    check_shared_memory,
+    described,
+    distribution,
+    rclpy_version,
+)
 from rsb_bridge.ros.memory import PROFILE_VARIABLES, profile_variable
 from rsb_bridge.ros.security import Security
 from rsb_extras.doctor import large_messages
@@ -107,6 +114,7 @@ def _ros(environ: Mapping[str, str], self_test: Sequence[str], root: Path) -> It
     finding = partial(Finding, "ros", subject="ROS", facts=facts)
     try:
         # Before the self-test, whose process would end without a word on the remedy.
+        check_libraries(environ)
         check_middleware(environ)
         check_shared_memory()
     except RosError as error:

@@ -54,6 +54,8 @@ SUBSCRIPTIONS: Final[Question] = named("rclpy_get_subscriptions_info_by_topic")
 _CLASSES = {kind: named(kind.capitalize()) for kind in ("subscription", "publisher", "service", "client")}
 _node, _wait_set, _guard_condition = named("Node"), named("WaitSet"), named("GuardCondition")
 _event = named("EventHandle")
+deserialize: Final = named("rclpy_deserialize")
+"""Returns a message, given its bytes and its class."""
 assert_liveliness: Final = named("rclpy_assert_liveliness")
 """Asserts that a publisher is alive: takes the extension module's object."""
 
