@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 class Unable(Wording):
     """Reasons why an engine refuses any command, or one about clients or files."""
 
+    INTERNAL = "internal error, please report it: {problem}"
     NOT_RUNNING = "the engine is not running"
     STOPPED_BEFORE_START = "the engine was stopped before it had started"
     NOT_A_SERVER = "only a server has clients"

@@ -9,6 +9,7 @@ from tests.calls.ledgers import AT_ONCE, called, counts, nothing_left
 from tests.support.bridge import find, happened, reloaded, route
 from tests.support.waiting import eventually
 
+from rsb_bridge.config.rights import DeniedText
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Client, Grant, Topic
 
@@ -31,7 +32,14 @@ def test_server_calls_only_what_robots_file_lists(bridge: Bridge, near: CallNode
     eventually(lambda: route(server, service).cause == "refused")
     listing = "list it under services in the session file of robot1, with provider: client"
     assert listing in route(server, service).reason
-    assert happened(client, EventCode.ROUTE_REFUSED, f"robot1 does not let the server call service {service}")
+    assert happened(
+        client,
+        EventCode.ROUTE_REFUSED,
+        DeniedText.NOT_ALLOWED,
+        owner="robot1",
+        peer="the server",
+        use=f"service {service}",
+    )
     assert find(client, service) is None
     assert not far.ready(service)
 

@@ -17,9 +17,10 @@ from rosidl_parser.definition import AbstractNestedType, Array, BasicType, Bound
 from tests.cdr.decoder_helpers import TYPES, described, of
 from tests.support.filled import filled
 from tests.support.steps import counted
+from tests.support.wording import says
 
 from rsb_bridge.cdr.checker import STEPS, Checker, Malformed, MalformedError, TooComplexError, UncheckableError
-from rsb_bridge.cdr.decoder import decode
+from rsb_bridge.cdr.decoder import Unreadable, decode
 from rsb_bridge.cdr.description import FieldType, MessageField, MessageType, TypeDescription
 from rsb_bridge.ros.native.typesupport import installed_class
 
@@ -109,7 +110,7 @@ def test_changed_word_passes_only_if_readable(name: str, data: st.DataObject) ->
     struct.pack_into("<I", payload, at, value)
     decoded = decode(described(name), bytes(payload), items=0, steps=EVERYTHING)
     if passes(checker(name), bytes(payload)):
-        assert not decoded.problem or "without its end" in decoded.problem
+        assert not decoded.problem or says(decoded.problem, Unreadable.STRING_WITHOUT_END)
     else:
         assert decoded.problem
 

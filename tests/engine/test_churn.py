@@ -10,11 +10,13 @@ from typing import Any
 import pytest
 from tests.engine.churn_helpers import Publisher, Subscription
 from tests.support import constants
+from tests.support.bridge import happened
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
 
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.engine import Engine
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Client, Session, Topic
 from rsb_bridge.ros.no_ros import NoRos
@@ -114,7 +116,7 @@ def test_no_message_is_reordered_doubled_or_uncounted(tmp_path: Path, monkeypatc
             ledger = route.ledger
             parts = ledger.delivered + ledger.throttled + ledger.expired + ledger.open + ledger.dropped_total
             assert ledger.offered == parts, ledger
-        assert not [event for each in (server, client) for event in each.events() if "internal error" in event.text]
+        assert not any(happened(each, EventCode.ENGINE_ERROR) for each in (server, client))
     finally:
         ends.set()
         client.stop()

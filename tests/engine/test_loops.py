@@ -18,6 +18,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.names import ANNOUNCEMENT_TOPIC
 from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.verdict import Cause
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -55,7 +56,7 @@ def one_way(bridge: Bridge, *domains: Domain) -> list[Pair]:
 def refused(pair: Pair) -> bool:
     """Whether both sides say that the chat would loop."""
     return all(
-        (found := find(engine, CHAT)) is not None and found.state is State.DOWN and "would loop" in found.reason
+        (found := find(engine, CHAT)) is not None and found.state is State.DOWN and found.cause == Cause.LOOP
         for engine in pair
     )
 
@@ -157,7 +158,7 @@ def test_a_ring_through_one_engine(bridge: Bridge, robot: Domain, pc: Domain) ->
     there = bridge.client(Topic(CHAT, "transmit", qos=DEEP), name="there")
     back = bridge.client(Topic(CHAT, "receive", qos=DEEP), name="back")
     publisher = robot.publisher(CHAT)
-    eventually(lambda: (found := find(back, CHAT)) and found.state is State.DOWN and "would loop" in found.reason)
+    eventually(lambda: (found := find(back, CHAT)) and found.state is State.DOWN and found.cause == Cause.LOOP)
     assert counts({"a": robot, "b": pc}, {"a": publisher}) == {"a in a": 1, "a in b": 1}
     eventually(lambda: route(there, CHAT).state is State.OK)
     eventually(lambda: {each.state for each in server.snapshot().routes} == {State.OK, State.DOWN})

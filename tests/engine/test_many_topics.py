@@ -113,12 +113,11 @@ def test_stranger_has_no_more_connections_because_of_client(bridge: Bridge) -> N
         assert not happened(server, EventCode.LINK_REJECTED, Rejected.TOO_MANY)
         come(5, "127.0.0.2")
         crowded = eventually(lambda: happened(server, EventCode.LINK_REJECTED, Rejected.TOO_MANY))
-        assert crowded.text.startswith("rejected a client at 127.0.0.2:")
+        assert "127.0.0.2:" in crowded.text
         come(5, "127.0.0.1")
         eventually(
             lambda: (
-                (event := happened(server, EventCode.LINK_REJECTED, Rejected.TOO_MANY))
-                and event.text.startswith("rejected a client at 127.0.0.1:")
+                (event := happened(server, EventCode.LINK_REJECTED, Rejected.TOO_MANY)) and "127.0.0.1:" in event.text
             )
         )
 

@@ -10,9 +10,10 @@ from tests.support.bridge import carries, happened, heard, linked, route
 from tests.support.domain import LATCHED, text
 from tests.support.inside import inside
 from tests.support.waiting import eventually, holds
-from tests.support.wording import pattern
+from tests.support.wording import pattern, says
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.config.name_rules import NameMistake
 from rsb_bridge.control.protocol import AnyCommand
 from rsb_bridge.installed_features import installed
 from rsb_bridge.link.extension import Denied
@@ -89,7 +90,7 @@ def test_the_other_sides_topics(bridge: Bridge, robot: Domain, pc: Domain) -> No
         assert names(engine, own)["/goal"].qos is None
     client.stop()
     eventually(lambda: not linked(server))
-    with pytest.raises(EngineError, match="robot1 is not linked"):
+    with pytest.raises(EngineError, match=pattern(Denied.NOT_LINKED, name="robot1")):
         server.topics("robot1").result(60)
 
 
@@ -98,7 +99,7 @@ def test_edited_topic_keeps_its_place(bridge: Bridge) -> None:
     _, client = bridge.both(*(Topic(name, "transmit") for name in ("/a", "/b", "/c")))
     client.edit_topic(route(client, "/b").key, Topic("/b2", "receive")).result(60)
     assert [topic.topic for topic in client.session.topics] == ["/a", "/b2", "/c"]
-    with pytest.raises(EngineError, match="is not an absolute topic name"):
+    with pytest.raises(EngineError, match=pattern(NameMistake.NOT_ABSOLUTE, noun="topic")):
         client.edit_topic(route(client, "/a").key, Topic("a", "transmit")).result(60)
     assert [topic.topic for topic in client.session.topics] == ["/a", "/b2", "/c"]
 
@@ -108,16 +109,16 @@ def test_prefix_beyond_name_length_is_refused(bridge: Bridge, robot: Domain, pc:
     long = "/" + "a" * 245
     server, client = bridge.server(use_name=True), bridge.client(Topic(long, "transmit"), Topic("/b", "transmit"))
     eventually(lambda: linked(client) and linked(server), what="linked")
-    eventually(lambda: "has 253 characters, and ROS allows at most 247" in route(client, long).reason)
-    eventually(lambda: happened(server, EventCode.ROUTE_REFUSED, "has 253 characters"))
-    with pytest.raises(EngineError, match="has 254 characters with its prefix, and ROS allows at most 247"):
+    eventually(lambda: says(route(client, long).reason, NameMistake.NAME_TOO_LONG, length=253))
+    eventually(lambda: happened(server, EventCode.ROUTE_REFUSED, NameMistake.NAME_TOO_LONG, length=253))
+    with pytest.raises(EngineError, match=pattern(NameMistake.NAME_TOO_LONG_WITH_PREFIX, length=254)):
         server.add_topic(Topic("/" + "c" * 246, "receive")).result(60)
     assert not happened(client, EventCode.LINK_LOST)
     eventually(lambda: route(client, "/b").stages[5].done, what="accepted")
     bridge.close()
     bridge.move()
     _, client = bridge.both(Topic("/b", "transmit"), use_name=True)
-    with pytest.raises(EngineError, match="has 254 characters with its prefix, and ROS allows at most 247"):
+    with pytest.raises(EngineError, match=pattern(NameMistake.NAME_TOO_LONG_WITH_PREFIX, length=254)):
         client.add_topic(Topic("/" + "c" * 246, "transmit")).result(60)
     assert linked(client)
 

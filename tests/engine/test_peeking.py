@@ -18,10 +18,12 @@ from tests.support.filled import filled
 from tests.support.inside import inside
 from tests.support.participants import KnownNode
 from tests.support.waiting import eventually
+from tests.support.wording import pattern
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.cdr.decoder import decode
 from rsb_bridge.cdr.description import hash_of_text, read_description
+from rsb_bridge.link.extension import Denied
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import PEEK_LIMIT
 from rsb_bridge.route import peeking
@@ -156,7 +158,7 @@ def test_nobody_waits_for_ever_nor_in_numbers(bridge: Bridge, monkeypatch: pytes
 
     eventually(all_again, what="their places are free again")
     eventually(lambda: not any(wanted(inside(client).role.links()[0])))
-    with pytest.raises(EngineError, match="no route"):
+    with pytest.raises(EngineError, match=pattern(Denied.NO_ROUTE)):
         client.peek("nonsense").result(60)
 
 

@@ -15,6 +15,7 @@ from tests.support.waiting import eventually, holds
 from tests.support.wording import pattern, says
 
 from rsb_bridge.api import EngineError, Unable
+from rsb_bridge.config.rights import DeniedText
 from rsb_bridge.config.session_changes import ChangeRefused
 from rsb_bridge.config.session_file import load_file
 from rsb_bridge.link.reloading import ClientStep
@@ -214,7 +215,11 @@ def test_clients_change_without_others_noticing(
     assert happened(second, EventCode.LINK_CLOSED_BY_PEER, "the server no longer accepts robot2")
     assert {each.name for each in server.snapshot().links} == {"robot1", "robot3"}
     assert find(server, "/secret") is None
-    eventually(lambda: "the server denies /secret to robot1" in route(first, "/secret").reason)
+    eventually(
+        lambda: says(
+            route(first, "/secret").reason, DeniedText.DENIED, owner="the server", use="/secret", peer="robot1"
+        )
+    )
 
     out.publish(text("still there"))
     heard(there, 1)

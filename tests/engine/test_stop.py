@@ -226,7 +226,7 @@ def test_a_stop_while_it_starts_wins(bridge: Bridge, robot: Domain) -> None:
         stopping.result(60)
     assert not engine.snapshot().running
     eventually(lambda: not [each for each in threading.enumerate() if each.name in ("rsb-io", "ros")])
-    with pytest.raises(EngineError, match="was stopped"):
+    with pytest.raises(EngineError, match=pattern(Unable.STOPPED_BEFORE_START)):
         engine.start()
 
 

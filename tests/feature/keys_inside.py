@@ -15,6 +15,7 @@ from tests.console.scripted import ROUTES
 from tests.support.bridge import happened, is_accepted, linked, reloaded, route
 from tests.support.inside import inside
 from tests.support.waiting import eventually
+from tests.support.wording import says
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.session_file import SessionError, load, save
@@ -22,6 +23,7 @@ from rsb_bridge.config.validation import build
 from rsb_bridge.link.proposals import amendment
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
+from rsb_bridge.model.topic_keys import ForeignKey
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -81,7 +83,7 @@ def test_service_has_only_its_own() -> None:
     assert not problems
     assert FRAGILE.of(session.topics[0])
     _, (problem,) = build(COMMON | {"services": [service | {"band_low": 8}]})
-    assert problem.message == "only topics have it: leave it out"
+    assert says(problem.message, ForeignKey.OF_TOPICS_ONLY)
     program = [sys.executable, "-m", "rsb_console", "edit", "--help"]
     text = subprocess.run(program, capture_output=True, text=True, timeout=180, check=True).stdout
     of_topics, _, of_calls = " ".join(text.split()).partition("for a service")

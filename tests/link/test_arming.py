@@ -23,6 +23,7 @@ from tests.link.arming_helpers import (
 )
 from tests.link.route_table_helpers import Pair, Side, hear_all, pair_of
 from tests.route.unpacking_helpers import OnePublisher
+from tests.support.wording import pattern
 
 from rsb_bridge.engine.topic_commands import ArmingCommands
 from rsb_bridge.link.extension import LinkError
@@ -530,7 +531,7 @@ def test_what_cannot_be_armed_says_why(topic: Topic, prepare: str | None, make_a
         arm(robot).result()
     elif prepare == "down":
         pc.linked = False
-    with pytest.raises(LinkError, match="cannot be armed"):
+    with pytest.raises(LinkError, match=pattern(ArmingProblem.CANNOT)):
         arm(pc, console="another").result()
 
 

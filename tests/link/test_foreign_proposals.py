@@ -10,7 +10,9 @@ import pytest
 from tests.link.foreign_proposals_helpers import link, rogue
 from tests.support.bridge import happened, linked, now
 from tests.support.waiting import eventually
+from tests.support.wording import says
 
+from rsb_bridge.config.rights import DeniedRemedy
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.demands import ARMED
 from rsb_bridge.model.purposes import purposes
@@ -137,4 +139,4 @@ def test_a_view_needs_a_right_to_look(bridge: Bridge) -> None:
         client.say(msgspec.structs.replace(asked, type=purposes()["view"].type_name))
         refused = client.wait_for(Refuse, Accept)
         assert isinstance(refused, Refuse)
-        assert "may: look" in refused.reason
+        assert says(refused.reason, DeniedRemedy.ADD_LOOK)

@@ -152,7 +152,7 @@ async def test_next_connection_gets_no_answers_of_last(side: Side) -> None:
     asking = asyncio.ensure_future(side.ask())
     await asyncio.sleep(0.5)
     side.questions.disconnected()
-    with pytest.raises(LinkError, match="the link was lost"):
+    with pytest.raises(LinkError, match=pattern(Denied.LINK_LOST)):
         await asking
     side.asked(1)
     await asyncio.sleep(9.0)

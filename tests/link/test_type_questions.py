@@ -135,7 +135,7 @@ async def test_any_other_is_as_none(answer: bytes) -> None:
 
 
 async def test_peer_that_cannot_answer_may_have_type() -> None:
-    with pytest.raises(LinkError, match="the link was lost"):
+    with pytest.raises(LinkError, match=pattern(Denied.LINK_LOST)):
         await Side().ask(None)
     side = Side()
     side.link.linked = False

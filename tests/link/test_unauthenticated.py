@@ -151,7 +151,7 @@ def test_what_is_no_handshake(friend: Any, bridge: Bridge) -> None:
                 filter(None, (happened(server, code, why, **parameters) for code in codes)), None
             )
         )
-        assert event.text.startswith(f"rejected a client at 127.0.1.{number}:")
+        assert f"127.0.1.{number}:" in event.text
 
 
 def talk(address: tuple[str, int], sent: bytes, source: str = "") -> bytes:
@@ -175,7 +175,7 @@ def test_half_a_handshake_and_then_nothing(friend: Any, bridge: Bridge, monkeypa
         ]
         for stranger in strangers:
             stranger.sendall(frame(b"rsb\x01\x01")[:5])
-        eventually(lambda: happened(server, EventCode.LINK_REJECTED, "too many"))
+        eventually(lambda: happened(server, EventCode.LINK_REJECTED, Rejected.TOO_MANY))
         newcomer = bridge.client(name="robot2", key_file="other.key")
         eventually(lambda: linked(newcomer, "robot2"))
         served(server, out, there)
@@ -189,7 +189,7 @@ def test_client_links_during_flood_from_its_address(friend: Any, bridge: Bridge)
     """
     server, _, out, there = friend
     with flood(bridge.port, 500, b"") as silent, flood(bridge.port, 50, frame(b"rsb\x01\x63")):
-        eventually(lambda: happened(server, EventCode.LINK_REJECTED, "too many"))
+        eventually(lambda: happened(server, EventCode.LINK_REJECTED, Rejected.TOO_MANY))
         newcomer = bridge.client(name="robot2", key_file="other.key")
         eventually(lambda: linked(newcomer, "robot2"))
         served(server, out, there)

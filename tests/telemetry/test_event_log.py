@@ -10,12 +10,14 @@ import pytest
 from tests.support.bridge import happened, linked
 from tests.support.rogue import Rogue
 from tests.support.waiting import eventually
+from tests.support.wording import says
 
 from rsb_bridge.config.keys import read_key
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Event, Level
 from rsb_bridge.telemetry.event_log import EVENT_LENGTH, EventLog
+from rsb_bridge.wire.protocol_error import Broken
 from rsb_console.command.formatting import StatusLines, json_status, text_event
 from rsb_console.session.exports import export_log
 
@@ -66,7 +68,7 @@ def test_a_peer_forges_no_line(field: str, bridge: Bridge, tmp_path: Path, monke
     for line in [*lines, *exported]:
         assert line.isprintable()
         assert len(line) < 3000
-    assert "invalid control message" in lost.text
+    assert says(lost.text, Broken.INVALID_CONTROL_MESSAGE)
 
 
 def test_waiting_ends_with_event_or_time() -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import msgspec
 
-from rsb_bridge.api import EngineError, InvalidRequestError
+from rsb_bridge.api import EngineError, InvalidRequestError, Unable
 from rsb_bridge.control import protocol
 from rsb_bridge.control.protocol import ControlProtocolError
 from rsb_bridge.control.states import EncodedRoutes, StateSender
@@ -321,7 +321,7 @@ class AttachedConsole:
             reply = protocol.CommandFailed(request.id, "this console has withdrawn it")
         except Exception as error:  # noqa: BLE001 -- the end of the connection would disarm what this console holds
             self._loop.call_exception_handler({"message": "a command failed", "exception": error})
-            reply = protocol.CommandFailed(request.id, f"internal error, please report it: {error}")
+            reply = protocol.CommandFailed(request.id, Unable.INTERNAL(problem=error))
         if (
             request.command.right in (Right.CHANGE, Right.TAKE)
             and self._sender.sent is not None

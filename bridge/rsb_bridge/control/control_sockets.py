@@ -50,6 +50,8 @@ class SocketProblem(Wording):
 class AttachProblem(Wording):
     """Reasons why a console is not attached, or not any more."""
 
+    NOT_ATTACHED = "not attached: {why}"
+    NOT_SERVED = "no bridge serves a socket here"
     SILENT = "the bridge does not answer"
     SILENT_FOR = "the bridge has not answered for {seconds:.0f} s"
     ENDED = "the bridge's process has ended, or has closed the connection"
@@ -266,7 +268,7 @@ def _reported(path: Path) -> Iterator[None]:
         raise ControlError(f"{path}: its process does not answer") from None
     except OSError as error:
         if error.errno in (errno.ENOENT, errno.ECONNREFUSED):
-            raise NotServedError(f"{path}: no bridge serves this socket") from None
+            raise NotServedError(f"{path}: {AttachProblem.NOT_SERVED()}") from None
         raise ControlError(SocketProblem.OTHER(path=path, problem=error.strerror or error)) from None
 
 
@@ -285,7 +287,7 @@ def _folder(path: Path, *, make: bool) -> Iterator[int]:
         # Anybody may put a link of a default folder's name into /tmp.
         handle = os.open(path, os.O_RDONLY | os.O_DIRECTORY | (os.O_NOFOLLOW if make else 0))
     except FileNotFoundError:
-        raise NotServedError(f"{path}: no bridge serves a socket here") from None
+        raise NotServedError(f"{path}: {AttachProblem.NOT_SERVED()}") from None
     except OSError as error:
         raise ControlError(SocketProblem.OTHER(path=path, problem=error.strerror)) from None
     try:

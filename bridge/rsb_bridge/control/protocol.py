@@ -75,6 +75,7 @@ class RequestProblem(Wording):
     """Reasons why a command does not reach the bridge, or why its reply is useless."""
 
     NOT_UNICODE = "this command has bytes that are no Unicode text: write it in UTF-8"
+    TOO_LONG = "this command is too long: {size:,} bytes"
     TOO_LATE = "not done: the bridge answers too slowly, or this program stood still; give the command again"
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, Protocol
 
-from rsb_bridge.api import EngineApi, EngineError, InvalidRequestError, NoAnswerError
+from rsb_bridge.api import EngineApi, EngineError, InvalidRequestError, NoAnswerError, Unable
 from rsb_bridge.control import protocol
 from rsb_bridge.control.control_sockets import (
     AttachProblem,
@@ -339,7 +339,7 @@ class RemoteEngine(EngineApi):
                 # After a bridge's goodbye its machine refuses the next connection: the goodbye gives the better reason.
                 reason = self._goodbye or AttachProblem.ON_SOCKET(where=self._way.text, problem=error.strerror or error)
             except Exception as error:  # the last resort: a console would show the last state for ever
-                reason = f"internal error, please report it: {error}"
+                reason = Unable.INTERNAL(problem=error)
                 if reason != self._lost:  # not twice a second
                     _logger.exception("internal error of the attachment")
             self._connection = None
@@ -489,7 +489,7 @@ class RemoteEngine(EngineApi):
         if waiting.future.cancelled():
             return
         if self._connection is None:
-            waiting.end(EngineError(f"not attached: {self._lost}"))
+            waiting.end(EngineError(AttachProblem.NOT_ATTACHED(why=self._lost)))
             return
         number = next(self._ids)
         request = CommandRequest(number, waiting.command, waiting.undo, self._ticket)
@@ -499,7 +499,7 @@ class RemoteEngine(EngineApi):
             waiting.end(InvalidRequestError(RequestProblem.NOT_UNICODE()))
             return
         if size > protocol.TO_BRIDGE_LIMIT:  # the bridge would end the connection
-            waiting.end(EngineError(f"this command is too long: {size:,} bytes"))
+            waiting.end(EngineError(RequestProblem.TOO_LONG(size=size)))
             return
         self._waiting[number] = waiting
         self._send(request)

@@ -345,7 +345,7 @@ class Bridge:
     def internal_error(self, _: asyncio.AbstractEventLoop, details: dict[str, object]) -> None:
         """Log an uncaught exception; an event loop's exception handler."""
         error = details.get("exception")
-        message = f"internal error, please report it: {error or details.get('message')}"
+        message = Unable.INTERNAL(problem=error or details.get("message"))
         now = self.context.now()
         if now - self._errors_logged.get(message, -_ERROR_LOGGED_EVERY) < _ERROR_LOGGED_EVERY:
             return

@@ -333,7 +333,7 @@ class Engine(EngineApi):
         except Exception as error:  # of code that is not ours
             what = f"the observer {type(observer).__name__} of a feature failed"
             _logger.exception("%s", what)
-            message = f"internal error, please report it: {what}: {error}"
+            message = Unable.INTERNAL(problem=f"{what}: {error}")
             self.log.add(Level.ERROR, EventCode.ENGINE_ERROR, message)
 
     def snapshot(self) -> Snapshot:

@@ -185,7 +185,7 @@ class RouteInspector(EnginePart):
 
 def _callable(route: Route) -> Caller | Provider:
     if not isinstance(route.half, Caller | Provider):
-        raise LinkError(f"{route.local_topic} is a topic: it cannot be called")
+        raise LinkError(Denied.NOT_CALLED(topic=route.local_topic))
     return route.half
 
 

@@ -204,6 +204,10 @@ class Denied(Wording):
     SERVER_STOPS = "the server stops"
     RESTART_FAILED = "{failure}. The server keeps trying"
     NO_ROUTE = "there is no route {key!r} any more"
+    NO_LINK = "there is no link {name!r}"
+    NOT_LINKED = "{name} is not linked: {reason}"
+    LINK_LOST = "the link was lost"
+    NOT_CALLED = "{topic} is a topic: it cannot be called"
     CHANGED = "{topic} was changed meanwhile ({differences}): open it again"
     LISTED_TOO = "the other side's session lists {topic}, too"
     LISTED_DIFFERENTLY = (

@@ -320,9 +320,9 @@ async def topics_of_peer(links: Iterable[Link], name: str) -> list[TopicInfo]:
     """
     link = next((each for each in links if each.name == name), None)
     if link is None:
-        raise LinkError(f"there is no link {name!r}")
+        raise LinkError(Denied.NO_LINK(name=name))
     if not link.linked:
-        raise LinkError(f"{link.name} is not linked: {link.down_reason}")
+        raise LinkError(Denied.NOT_LINKED(name=link.name, reason=link.down_reason))
     try:
         return await link.topic_lists.ask()
     except LinkError as error:

@@ -51,6 +51,7 @@ DROPPED: Final = "arm_dropped"
 class ArmingProblem(Wording):
     """Reasons why a topic cannot be armed."""
 
+    CANNOT = "{topic} cannot be armed: {why}"
     NOT_OPEN = (
         f"the other side has not opened it within {ANSWERED_WITHIN:g} s: look at the link with `rsb-console status`, "
         "and try again"
@@ -270,7 +271,7 @@ class LinkArming:
         """
         arming, topic = route.arming, route.local_topic
         if why_not := self._why_not(route):
-            raise LinkError(f"{topic} cannot be armed: {why_not}")
+            raise LinkError(ArmingProblem.CANNOT(topic=topic, why=why_not))
         answered = asyncio.Event()
         who = acting_operator()
         # In this order: `ask` notes from which number on messages count, and Lease precedes Arm (PROTOCOL.md, 7.2).

@@ -168,7 +168,7 @@ class Questions(Generic[T]):
     def disconnected(self) -> None:
         """Fail all questions, and answer none: the connection is over."""
         for asked in self._asked.values():
-            asked.answer.set_exception(LinkError("the link was lost"))
+            asked.answer.set_exception(LinkError(Denied.LINK_LOST()))
             asked.answer.exception()  # the asker may have given up
         self._asked.clear()
         self._to_answer.clear()

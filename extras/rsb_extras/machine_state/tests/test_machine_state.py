@@ -25,6 +25,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.wire.codec import encode
 from rsb_bridge.wire.messages import Ping
+from rsb_bridge.wire.protocol_error import Broken
 from rsb_extras import machine_state
 from rsb_extras.machine_state import machine_reading
 from rsb_extras.machine_state.link_machine import MachineCode
@@ -195,7 +196,7 @@ def test_figures_out_of_bounds_end_the_link(bridge: Bridge, broken: dict[str, ob
         eventually(lambda: server.snapshot().links[0].state is State.OK, what="a link")
         client.say(msgspec.structs.replace(FINE, **broken))
         eventually(lambda: server.snapshot().links[0].state is not State.OK, what="the end of the link")
-        assert happened(server, EventCode.LINK_LOST, "invalid control message")
+        assert happened(server, EventCode.LINK_LOST, Broken.INVALID_CONTROL_MESSAGE)
         assert of_peer(server) is None
 
 
