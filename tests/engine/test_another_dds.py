@@ -12,9 +12,11 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
+from std_srvs.srv import SetBool
 from tests.support import constants
 from tests.support.bridge import heard, route
 from tests.support.domain import text
+from tests.support.spun import Spun
 from tests.support.waiting import eventually
 
 from rsb_bridge.cdr.description import TypeClash
@@ -246,6 +248,25 @@ def test_reader_that_does_not_match_is_named(bridge: Bridge, robot: Domain, pc: 
         if policy != "key":
             crossed(writer, far.reader("/apart"), ["b"])
             eventually(lambda: route(server, "/apart").state == "ok")
+
+
+def test_caller_that_names_its_writer_is_answered(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    """As ros2-client does."""
+
+    def answer(_: Any, response: Any) -> Any:
+        response.message = "done"
+        return response
+
+    with closing(Spun(pc.id, "server")) as server, closing(CycloneProgram(robot.id)) as near:
+        server.node.create_service(SetBool, "/switch", answer)
+        bridge.both(Topic("/switch", "transmit", kind="service"))
+        caller = near.caller("/switch")
+
+        def is_answered() -> bool:
+            caller.call()
+            return "done" in caller.answers
+
+        eventually(is_answered)
 
 
 def test_program_that_is_killed_returns(bridge: Bridge, robot: Domain, pc: Domain) -> None:

@@ -48,6 +48,8 @@ HASH = "RIHS01_" + 32 * "5a"
 HASHED = Policy.Userdata(f"typehash={HASH};".encode())
 """Tells ROS a hash of the type."""
 XCDR2 = Policy.DataRepresentation(use_xcdrv2_representation=True)
+_REQUEST = make_idl_struct("Request", "std_srvs::srv::dds_::SetBool_Request_", {"data": bool})
+_RESPONSE = make_idl_struct("Response", "std_srvs::srv::dds_::SetBool_Response_", {"success": bool, "message": str})
 
 
 class CycloneProgram:
@@ -60,7 +62,7 @@ class CycloneProgram:
     def __init__(self, domain_id: int, *, is_node: bool = False) -> None:
         enclave = [Policy.Userdata(b"enclave=/;")] if is_node else []
         self._participant: Any = DomainParticipant(domain_id, qos=Qos(*enclave))
-        self._endpoints: list[CycloneWriter | CycloneReader] = []
+        self._endpoints: list[CycloneWriter | CycloneReader | CycloneCaller] = []
 
     def writer(self, topic: str, qos: model.Qos = _USUAL, *more: Any) -> CycloneWriter:
         """Write to a topic.
@@ -81,6 +83,18 @@ class CycloneProgram:
         reader = CycloneReader(DataReader(group, Topic(self._participant, f"rt{topic}", type_), given))
         self._endpoints.append(reader)
         return reader
+
+    def caller(self, service: str) -> CycloneCaller:
+        """Call a service of type std_srvs/SetBool by a request that names no reader of responses, only its writer."""
+        asking = Topic(self._participant, f"rq{service}Request", _REQUEST)
+        hearing = Topic(self._participant, f"rr{service}Reply", _RESPONSE)
+        qos = Qos(*_policies(_USUAL))
+        caller = CycloneCaller(
+            DataWriter(Publisher(self._participant), asking, qos),
+            DataReader(Subscriber(self._participant), hearing, qos),
+        )
+        self._endpoints.append(caller)
+        return caller
 
     def close(self) -> None:
         """Take them out of the domain. The last reference to one does so, and a failed test's traceback holds more."""
@@ -114,6 +128,20 @@ class CycloneReader:
         # The end of a writer is a sample, too, without data.
         self._texts += [each.data for each in self.entity.take(_MOST) if each.sample_info.valid_data]
         return self._texts
+
+
+class CycloneCaller(CycloneReader):
+    def __init__(self, writer: Any, reader: Any) -> None:
+        super().__init__(reader)
+        self._writer = writer
+
+    def call(self) -> None:
+        self._writer.write(_REQUEST(data=True))
+
+    @property
+    def answers(self) -> list[str]:
+        """The messages of new responses."""
+        return [each.message for each in self.entity.take(_MOST) if each.sample_info.valid_data]
 
 
 def _given(qos: model.Qos, more: tuple[Any, ...]) -> tuple[Qos, Any, Qos]:

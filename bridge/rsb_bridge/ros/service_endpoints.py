@@ -68,6 +68,8 @@ _PARTICIPANT = 12
 """Bytes of an endpoint's GUID that all endpoints of a participant share."""
 _WRITER = b"\x03"
 """The kind of a writer without key, a GUID's last byte (RTPS 2.5, 9.3.1.2)."""
+_IS_READER = 0x04
+"""The bit of that byte which readers have and writers have not."""
 _DDS_TYPE = re.compile(r"([a-z]\w*)::(srv|action)::dds_::(\w+)_(?:Request|Response)_", re.ASCII)
 _CALLERS_REMEMBERED = 1024
 """Callers of one server whose readers it knows. A round figure."""
@@ -148,17 +150,17 @@ class CallerTable:
         self._asked_at = 0.0
         self._writers: dict[bytes, bytes] = {}
 
-    def writer_of(self, reader: bytes) -> bytes | None:
+    def writer_of(self, caller: bytes) -> bytes | None:
         """Return the GUID of a caller's writer of requests, or None if the graph does not show the caller.
 
         Return empty bytes for a middleware that may not create the reader and the writer one after the other.
 
         Args:
-            reader: the GUID of its reader of responses.
+            caller: the GUID of its reader of responses, or of a caller that names none, its writer's.
         """
         version = self._version()
         # One that was not found is asked for again: the number changes only with the ROS thread's next wait.
-        if version == self._asked and (writer := self._writers.get(reader)) is not None:
+        if version == self._asked and (writer := self._known(caller)) is not None:
             return writer
         now = time.monotonic()
         if version != self._asked or now >= self._asked_at + _GRAPH_ASKED_AGAIN_AFTER:
@@ -168,7 +170,13 @@ class CallerTable:
             writers = {bytes(each["endpoint_gid"]) for each in writing}
             readers = [end.gid for each in reading if not incompatible(self._offered, (end := endpoint_of(each)).qos)]
             self._writers = {each: next_ if (next_ := _next_writer(each)) in writers else b"" for each in readers}
-        return self._writers.get(reader)
+        return self._known(caller)
+
+    def _known(self, caller: bytes) -> bytes | None:
+        if caller[-1] & _IS_READER:
+            return self._writers.get(caller)
+        hears = any(reader[:_PARTICIPANT] == caller[:_PARTICIPANT] for reader in self._writers)
+        return caller if hears else None
 
 
 class ServiceEndpoint:
