@@ -80,7 +80,7 @@ def test_near_name_that_appears_later_is_found(loop: VirtualLoop, make_context: 
     half.route.open(1)
     half.route.on_accepted()
     half.reported(SentReport(route=1))
-    tick(half, peer, loop, 60)
+    tick(half, peer, loop, 120)
     assert half.route.idle
     graph.published["/scna"] = [DESK]
     tick(half, peer, loop, 40)

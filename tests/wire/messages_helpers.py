@@ -17,6 +17,8 @@ def filled(kind: msgspec.inspect.Type, default: object = None, *, all_fields: bo
     match kind:
         case inspect.StructType():
             wanted = [field for field in kind.fields if all_fields or field.required]
+            if kind.array_like:
+                return [inner(field.type, field.default) for field in wanted]
             tag = {} if kind.tag is None else {kind.tag_field: kind.tag}
             return tag | {field.encode_name: inner(field.type, field.default) for field in wanted}
         case inspect.VarTupleType():
