@@ -207,6 +207,7 @@ def test_finish_asks_unless_client_has_new_key(
     run("rekey", str(path), "robot1", "--keep-old")
     before = path.read_text()
     surroundings.set_stdin(monkeypatch, answer or "", is_terminal=answer is not None)
+    surroundings.print_to_terminal(monkeypatch)
     ran = run("rekey", str(path), "robot1", "--finish")
     assert (ran.code == 0, path.read_text() == TEXT) == (finished, finished)
     if not finished:

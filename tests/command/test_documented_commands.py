@@ -311,6 +311,8 @@ def press_keys(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
 
     def press(line: str) -> None:
         surroundings.set_stdin(monkeypatch, "y\n", is_terminal=True)
+        if "look" not in line.split():  # which would draw on the whole screen
+            surroundings.print_to_terminal(monkeypatch)
         if not lasts(line):
             return
         write = replaced.SHELL_PRINT.value

@@ -305,6 +305,8 @@ def test_removal_of_armed_entry_asks_once(
     ran: Any, armed: ScriptedEngine, monkeypatch: pytest.MonkeyPatch, answer: str, drops: bool
 ) -> None:
     surroundings.set_stdin(monkeypatch, answer, is_terminal=True)
+    assert says(ran("remove", "/scan").err, Asking.NOBODY), "its question would go to a file"
+    surroundings.print_to_terminal(monkeypatch)
     removed = ran("remove", "/scan")
     assert removed.code == 0
     assert removed.out.count(TopicCommandProblem.DROP(topic="/scan")) == 1

@@ -344,7 +344,7 @@ def test_what_comes_and_goes_during_change_was_demanded() -> None:
     running = Running()
     with running.demands.changing():
         running.edit(CMD)
-        assert running.demanded("/cmd") is not None
+        running.demands.apply()
         running.edit()
     assert running.demanded("/cmd") is not None
     assert running.armed == (GO,)

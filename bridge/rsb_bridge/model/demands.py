@@ -595,7 +595,8 @@ class RunningDemands:
 
     def apply(self) -> None:
         """Reopen the routes whose demands have changed."""
-        if not self._is_changing and (demands := self._read()) is not self._applied:
+        demands = self._read()  # also during a change: an entry that goes again before its end has added its line
+        if not self._is_changing and demands is not self._applied:
             self._applied = demands
             for holder in tuple(self._holders):
                 holder.apply_demands()

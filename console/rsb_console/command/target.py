@@ -210,7 +210,8 @@ def agreed(question: str, options: str = "--yes", *, ask: bool = True) -> bool:
     Raises:
         UsageError: nobody is there to ask.
     """
-    if not (ask and sys.stdin.isatty()):
+    # The output may be a file, or be collected for many robots.
+    if not (ask and sys.stdin.isatty() and sys.stdout.isatty()):
         raise UsageError(Asking.NOBODY(options=options))
     # Lines that were typed ahead are for something else. Not every input that calls itself a terminal can be flushed.
     with contextlib.suppress(OSError, termios.error):

@@ -39,6 +39,7 @@ def engine(machine: Machine) -> ServerEngine:
 
 def answers(monkeypatch: pytest.MonkeyPatch, text: str) -> None:
     surroundings.set_stdin(monkeypatch, text, is_terminal=True)
+    surroundings.print_to_terminal(monkeypatch)
 
 
 def test_all_is_well(engine: ServerEngine, fleet: Fleet) -> None:
