@@ -25,7 +25,9 @@ INF = float("inf")
 PLAIN, BOLD, REVERSE, COLOURED = (
     Style(), Style(bold=True), Style(reverse=True), Style(color="#204060", bgcolor="#a0b0c0")
 )  # fmt: skip
-STYLES = (PLAIN, BOLD, REVERSE, COLOURED, Style(color="#204060"), Style(bgcolor="#a0b0c0", underline=True))
+STYLES = (
+    PLAIN, BOLD, REVERSE, BOLD + REVERSE, COLOURED, Style(color="#204060"), Style(bgcolor="#a0b0c0", underline=True)
+)  # fmt: skip
 Piece = tuple[int, int, str, Style]
 """A text from a row and a column on."""
 pieces = st.lists(

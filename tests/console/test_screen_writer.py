@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+import re
 import time
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, cast
 
+import pyte
 import pytest
 from rich.color import ColorSystem
+from tests.console.arming_helpers import DISARMED
 from tests.console.driving import NARROW, WIDE, on_main, until
 from tests.support.heights import heights_of
 from textual._compositor import LayoutUpdate
@@ -17,8 +20,9 @@ from textual.screen import ModalScreen
 from textual.widgets import Static
 
 from rsb_console.actions.action import late
+from rsb_console.screens.dialog import ArmScreen
 from rsb_console.screens.help import KeyList
-from rsb_console.terminal.screen_cells import FIRST, LAST, LINES, USUAL
+from rsb_console.terminal.screen_cells import BOX, FIRST, LAST, LINES, USUAL
 from rsb_console.terminal.screen_writer import ScreenWriter
 from rsb_console.terminal.terminal_line import TerminalLine
 from rsb_console.terminal_app import prepare
@@ -54,13 +58,15 @@ async def test_boxes_come_before_pictures_below_them_and_after_their_own(app: Co
         await until(pilot, lambda screen=screen: bool(screen.query("#box")) and screen.is_current, "a box")
     picture, picture_above = below.query_one("#box"), above.query_one("#box")
     driver: Any = SimpleNamespace(line=TerminalLine(), losses=0)
+    box = picture_above.region
+    title = Region(box.x, box.y, box.width, 1)
     for shown, expected in (
-        ([picture], [(picture_above, FIRST), (picture, LAST), (picture, USUAL)]),
-        ([picture_above], [(picture_above, LAST), (picture_above, FIRST), (picture, USUAL)]),
+        ([picture], [(title, FIRST), (box, BOX), (picture.region, LAST), (picture.region, USUAL)]),
+        ([picture_above], [(box, LAST), (title, FIRST), (box, BOX), (picture.region, USUAL)]),
     ):
         writer = ScreenWriter(app, driver, ColorSystem.TRUECOLOR, shown, lambda _: None)
         *ranks, header = writer._ranks()
-        assert ranks == [(widget.region, rank) for widget, rank in expected]
+        assert ranks == expected
         assert header == (Region(0, 0, app.size.width, 2), LINES)
 
 
@@ -230,3 +236,46 @@ async def test_styles_of_a_screen_without_a_file_are_read(
     monkeypatch.setattr(Coloured, "__module__", "without_a_file")
     await prepare(app)
     assert app.stylesheet.has_source("", "Coloured.CSS")
+
+
+@pytest.mark.parametrize("colours", [ColorSystem.TRUECOLOR, ColorSystem.EIGHT_BIT])
+@on_main((80, 24))
+async def test_question_and_answers_come_before_the_rest_of_box(
+    app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch, colours: ColorSystem
+) -> None:
+    """At 9,600 baud these take 0.2 s, and the whole box half a second."""
+    screen, whole = pyte.Screen(80, 24), Region(0, 0, 80, 24)
+    stream, asked_after = pyte.Stream(screen), cast("int | None", None)
+
+    def asks() -> bool:
+        text = "\n".join(screen.display)
+        return "Arm /cmd_vel of robot1?" in text and re.search("Arm +No", text) is not None
+
+    def write_frame(text: str, **_: object) -> None:
+        nonlocal asked_after
+        if asked_after is None:
+            stream.feed(text)
+            return
+        for each in text:
+            asked_after += 0 if asks() else len(each.encode())
+            stream.feed(each)
+
+    line: Any = SimpleNamespace(most=144, answers=True)  # as of 960 bytes/s
+    driver: Any = SimpleNamespace(line=line, losses=0, is_free=True, erases=True, late=0.0, write_frame=write_frame)
+    writer = ScreenWriter(app, driver, colours, (), lambda _: None)
+    monkeypatch.setattr(writer, "_look_in", lambda _: None)
+
+    def give_until(shown: Callable[[], object]) -> None:
+        writer.draw(app.screen._compositor.render_full_update())
+        while not shown():
+            writer.give()
+
+    give_until(lambda: writer.has(whole))
+    app.push_screen(question := ArmScreen(DISARMED))
+    await until(pilot, lambda: bool(question.query("#no")) and question.is_current, "a question")
+    await pilot.pause()
+    asked_after = 0
+    writer.expect_effect()
+    give_until(asks)
+    assert asked_after is not None
+    assert asked_after < 960 / 5

@@ -39,8 +39,9 @@ _ERASED: Final = 12
 """Blank cells from which on a sequence that erases them, and one that jumps over them, are shorter."""
 _ERASE_TWO, _LAST_OF_PLANE_0 = "\x1b[2X", 0xFFFF
 """Written before emoji: a terminal that takes them for narrow would leave the second cell as it was."""
-FIRST, LINES, USUAL, LAST = range(4)
-"""What is written before what: what a key may have done, the lines around it, the rest, and pictures."""
+FIRST, BOX, LINES, USUAL, LAST = range(5)
+"""What is written before what: the words that tell what a key has done, the rest of its box, the lines around it, the
+rest of the screen, and pictures."""
 _DRAWS_LINES: Final = ("\u2500", "\u257f")
 """The first and the last of Unicode's box drawings, of three bytes each."""
 _TOP: Final = (FIRST, 0, 0)
@@ -192,7 +193,7 @@ class ScreenCells:
         Args:
             most: bytes, with which it ends once it has something.
             ranks: regions that come before or after what is `USUAL`; the first that has a cell counts.
-            rest_waits: whether what is not `FIRST` or `LINES` is left for later, unless all fits into the frame.
+            rest_waits: whether what comes after `LINES` is left for later, unless all fits into the frame.
         """
         self._changed = {y for y in self._changed if self._wanted[y] != self._shown[y]}
 
@@ -248,8 +249,7 @@ class ScreenCells:
             edges = {0, len(wanted), *([column] if y == row else [])}
             for left, right, rank in _ranked(y, edges, ranks):
                 for begin, end, look in _differing(wanted, shown, left, right, mixed=rank == LAST):
-                    is_line = rank == FIRST and _is_line(wanted[begin:end])
-                    yield CellRun(LINES if is_line else rank, y, begin, end, look)
+                    yield CellRun(_rank_of(wanted[begin:end], rank), y, begin, end, look)
 
 
 class _Pen:
@@ -317,10 +317,11 @@ class _Pen:
         if not look.ink:  # blank: neither ink nor weight are seen
             look = CellLook("" if had.marks_blanks else had.attributes, had.ink, look.paper)
         if look.attributes != had.attributes:
-            if had.attributes:
+            before, after = ([code for code in each.attributes.split(";") if code] for each in (had, look))
+            if set(before) - set(after):
                 codes.append("0")
-                had = _OWN
-            codes += [look.attributes] if look.attributes else []
+                had, before = _OWN, []
+            codes += [each for each in after if each not in before]
         codes += [look.ink] if look.ink != had.ink else []
         codes += [look.paper] if look.paper != had.paper else []
         if codes:
@@ -385,11 +386,12 @@ def _common(one: CellLook, other: CellLook) -> CellLook | None:
     return None if inked.marks_blanks else inked
 
 
-def _is_line(cells: Sequence[Cell]) -> bool:
-    """Whether cells are a part of a box's frame."""
+def _rank_of(cells: Sequence[Cell], rank: int) -> int:
+    """Return the rank of cells in a region of a rank: a box's frame comes after what is in it."""
     first, last = _DRAWS_LINES
     texts = {text for text, _ in cells} - {" "}
-    return bool(texts) and all(first <= text <= last for text in texts)
+    is_line = rank < LINES and bool(texts) and all(first <= text <= last for text in texts)
+    return LINES if is_line else rank
 
 
 def _blanks(row: Sequence[Cell], left: int, right: int) -> int:

@@ -11,10 +11,10 @@ import time
 from typing import TYPE_CHECKING, Final
 
 from textual.geometry import Region
-from textual.widgets import Input, TextArea
+from textual.widgets import Button, Input, TextArea
 
 from rsb_console.library_internals.textual_internals import ToastRack, crash
-from rsb_console.terminal.screen_cells import FIRST, LAST, LINES, USUAL, ScreenCells
+from rsb_console.terminal.screen_cells import BOX, FIRST, LAST, LINES, USUAL, ScreenCells
 from rsb_console.terminal.terminal_line import TerminalLine
 
 if TYPE_CHECKING:
@@ -186,9 +186,17 @@ class ScreenWriter:
             yield from (
                 (each.content_region, LAST) for each in self._pictures if each.is_attached and each.screen is screen
             )
-            if screen is not self._app.screen_stack[0]:
-                rank = FIRST if screen is self._app.screen else USUAL  # those below only become dim
-                yield from ((each.region, rank) for each in screen.children if not isinstance(each, ToastRack))
+            if screen is self._app.screen_stack[0]:
+                continue
+            boxes = [each.region for each in screen.children if not isinstance(each, ToastRack)]
+            if screen is self._app.screen:
+                # The title, and the answers to a question: with its first part alone an operator knows what is asked.
+                if answers := [each.region for each in screen.query(Button)]:
+                    yield Region.from_union(answers), FIRST
+                yield from ((Region(x, y, width, 1), FIRST) for x, y, width, _ in boxes)
+                yield from ((each, BOX) for each in boxes)
+            else:
+                yield from ((each, USUAL) for each in boxes)  # they only become dim
         yield Region(0, 0, self._app.size.width, _HEADER), LINES
 
     def has(self, region: Region) -> bool:
