@@ -243,17 +243,23 @@ class Sessions:
         services: tuple[dict[str, Any], ...] = (),
         domains: tuple[int, int],
         both: Mapping[str, Any] | None = None,
+        zenoh: bool = False,
     ) -> None:
         """Write both files; `both` are further keys of each."""
         write_key(folder / "robot1.key")
         self.domains = domains
-        common = {"name": "robot1", "server_port": PORT, "key_file": "robot1.key", **(both or {})}
+        common: dict[str, Any] = {"name": "robot1", "key_file": "robot1.key", **(both or {})}
         told = [{"direction": "transmit", "type": "String", "qos": {"depth": 200}} | topic for topic in topics]
-        client = {"role": "client", "server_ip": address, "domain_id": domains[0], "topics": told}
+        client: dict[str, Any] = {"role": "client", "server_ip": address, "domain_id": domains[0], "topics": told}
         if services:
             client["services"] = [{"provider": "server"} | service for service in services]
         anywhere = "::" if ":" in address else "0.0.0.0"
-        server = {"role": "server", "server_ip": anywhere, "domain_id": domains[1]}
+        server: dict[str, Any] = {"role": "server", "server_ip": anywhere, "domain_id": domains[1]}
+        if zenoh:
+            client |= {"server_ip": "zenoh", "zenoh": {"connect": [f"tcp/{address}:{PORT}"]}}
+            server |= {"server_ip": "zenoh", "zenoh": {"listen": [f"tcp/{anywhere}:{PORT}"]}}
+        else:
+            common["server_port"] = PORT
         self.client, self.server = folder / "client.yaml", folder / "server.yaml"
         self.client.write_text(yaml.safe_dump(common | client))
         self.server.write_text(yaml.safe_dump(common | server))

@@ -48,15 +48,17 @@ class Network:
         *topics: dict[str, Any],
         services: tuple[dict[str, Any], ...] = (),
         both: Mapping[str, Any] | None = None,
+        zenoh: bool = False,
     ) -> Bridge:
         """A client on the robot and a server on the PC, which it reaches by `address`; linked.
 
         Args:
             both: further keys of both session files.
+            zenoh: whether they link over Zenoh.
         """
         from tests.network.bridging import Sessions
 
-        sessions = Sessions(self._folder, address, *topics, services=services, domains=_DOMAINS, both=both or {})
+        sessions = Sessions(self._folder, address, *topics, services=services, domains=_DOMAINS, both=both, zenoh=zenoh)
         bridge = sessions.run(robot, pc)
         self._bridges.append(bridge)
         bridge.client.happens(EventCode.LINK_UP)

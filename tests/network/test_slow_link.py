@@ -5,6 +5,7 @@ from __future__ import annotations
 from statistics import median
 from typing import TYPE_CHECKING
 
+import pytest
 from tests.support.waiting import eventually
 
 from rsb_bridge.model.codes import EventCode
@@ -53,3 +54,22 @@ def test_unfitting_bulk_is_dropped_and_delays_nothing(network: Network, robot: H
     ledgers = bridge.settled("/cmd", "/scan", "/cloud")
     assert ledgers["/cmd"].delivered == ledgers["/cmd"].offered == said["/cmd"]
     assert not bridge.client.happened(EventCode.LINK_LOST)
+
+
+def test_large_messages_take_their_time_over_zenoh(network: Network, robot: Host, pc: Host, cable: Cable) -> None:
+    """One that Zenoh may drop, for more than a second, and one for which its sender waits, for more than 5 s.
+
+    A program of its own that puts such messages with Zenoh 1.10.2 loses the first, whose fragments may each wait for
+    50 ms, and with the second the connection.
+    """
+    pytest.importorskip("zenoh", reason="Zenoh is not installed")
+    cable.slow("20mbit", queue="50ms")
+    topics = {"topic": "/cloud", "protocol": "zenoh-drop"}, {"topic": "/map", "protocol": "zenoh"}
+    bridge = network.bridge(robot, pc, "10.99.1.1", *topics, zenoh=True)
+    bridge.listen(pc=("/cloud", "/map"))
+    bridge.robot.talk("/cloud", rate=1, size=3_000_000, count=1)
+    eventually(lambda: bridge.pc.heard("/cloud"), what="3 MB")
+    bridge.robot.talk("/map", rate=1, size=15_000_000, count=1)
+    eventually(lambda: bridge.pc.heard("/map"), what="15 MB")
+    assert not bridge.client.happened(EventCode.LINK_LOST)
+    assert not bridge.server.happened(EventCode.LINK_LOST)
