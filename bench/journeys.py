@@ -118,7 +118,8 @@ class TurnJourneys(Yard):
             for each in self._writers:
                 each.publish(_MESSAGE)
             await asyncio.sleep(0.25)
-        came = next(iter(self.routes(on_server=True).values())).half.carried.channel._from.stream
+        channel: Any = next(iter(self.routes(on_server=True).values())).half.carried.channel
+        came = channel._from.stream
         data_received = came.data_received
 
         def counted(data: bytes) -> None:
@@ -141,8 +142,9 @@ class TurnJourneys(Yard):
         now = self.robot.clock.time_ns()
         with _counting("turn of ten topics, sending side"):
             for each in self._writers:
-                receiver = routes[each.topic].half.subscription._receiver
-                queue.put(receiver, [RawMessage(_MESSAGE, now, each.gid, each.published + 1, source=now)])
+                half: Any = routes[each.topic].half
+                message = RawMessage(_MESSAGE, now, each.gid, each.published + 1, source=now)
+                queue.put(half.subscription._receiver, [message])
             turns.gathered()
 
 

@@ -58,10 +58,13 @@ class WallClock(Clock):
 
 
 class _Queue(RosToLoopQueue):
-    """Messages from the ROS side, whose thread never has to wait: it is the loop's own."""
+    """Messages from the ROS side, whose thread never has to wait: it is the loop's own. A turn brings several."""
 
     def put(self, receiver: BatchReceiver[T], batch: Sequence[T], *, express: bool = False) -> None:
-        self._loop.call_soon(receiver.offer, batch)
+        self._batches.append((receiver, batch, express))
+        if not self._scheduled:
+            self._scheduled = True
+            self._loop.call_later(1e-9, self._drain)  # behind all that is taken at this moment
 
 
 class _Events(EventLog):

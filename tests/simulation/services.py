@@ -9,6 +9,7 @@
 from __future__ import annotations
 
 import contextvars
+import math
 from collections import defaultdict, deque
 from functools import partial
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
@@ -29,6 +30,8 @@ _DISCOVERY = (0.001, 0.05)
 _WAITS = 0.1
 """s that a server waits until it knows the client that it answers: rmw_fastrtps does."""
 _BATCH = 64
+_APART = 0.002
+"""s between the turns in which all ends take, so that a turn brings something of several topics."""
 _OF_NOBODY = contextvars.Context()
 _GID = 16
 
@@ -134,7 +137,9 @@ class Taker(Generic[T]):
         if not self._draining:
             self._draining = True
             domain = self._domain
-            domain.loop.call_later(domain.random.uniform(*domain.taking), self._drain, context=self._context)
+            due = domain.loop.time() + domain.random.uniform(*domain.taking)
+            turn = (math.ceil(due / _APART) + 0.5) * _APART  # no round time, at which checks look at all
+            domain.loop.call_at(turn, self._drain, context=self._context)
 
     def _drain(self) -> None:
         self._draining = False

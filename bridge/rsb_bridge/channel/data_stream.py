@@ -48,6 +48,7 @@ _OF_ROUTES = (DATA, MOVED, RESUMED)
 _KIND_AND_ROUTE = struct.Struct(">BxI")  # the part of `HEADER` that tells a frame's route
 Sent: TypeAlias = "tuple[StreamSender, Sequence[Message]]"
 """Messages of a route that leave together."""
+_GATHERED = 64 * 1024  # bytes of messages that are gathered at the most, as of what a stream holds
 LARGE = 16 * 1024
 """Bytes of a message that takes the stream for large ones (bench/README.md, *Constants of data streams*)."""
 
@@ -115,6 +116,8 @@ class DataStream(Carrier, StreamHandler):
         self.sent = self.acknowledged = self.resumed = 0
         self.unwritten: list[Sent] = []
         self.counter = ReceiptCounter()
+        self._gathered: list[Sent] = []
+        self._gathered_size = 0
         self._pair = pair
         self._kept: deque[tuple[int, list[Sent]]] = deque()  # by how many bytes have left with them
         self._settled = 0  # bytes that are not in transit: acknowledged or written off
@@ -150,8 +153,40 @@ class DataStream(Carrier, StreamHandler):
         if self.stream.congested and isinstance(data, memoryview):
             self._pair.keys.scratch.lost()  # the stream's, until it has sent it
 
+    def gather(self, sender: StreamSender, batch: Sequence[Message], size: int) -> bool:
+        """Have messages of `size` bytes leave with those of other routes that come in this moment, if more may come.
+
+        Returns:
+            Whether they do. They are neither sealed nor counted before.
+        """
+        joined = self.stream.joined
+        if joined is None or not joined.is_open:
+            return False
+        if not self._gathered:
+            joined.gather(self.write_gathered)
+        self._gathered.append((sender, batch))
+        self._gathered_size += size
+        self.scheduler.gathered += size
+        if self._gathered_size >= _GATHERED:
+            self.write_gathered()
+        return True
+
+    def write_gathered(self) -> None:
+        gathered, size, scheduler = self._gathered, self._gathered_size, self.scheduler
+        if not gathered:
+            return
+        self._gathered, self._gathered_size = [], 0
+        scheduler.gathered -= size
+        parts: list[bytes] = []
+        for sender, batch in gathered:
+            parts.append(data := sender.seal(batch))
+            scheduler.charge(sender, len(data))
+        self.unwritten += gathered
+        scheduler.write(self, b"".join(parts))
+
     def unacknowledged(self) -> Iterator[Sent]:
         """Yield the messages that may not have arrived, oldest first."""
+        self.write_gathered()
         for _, sent in self._kept:
             yield from sent
 
@@ -161,6 +196,7 @@ class DataStream(Carrier, StreamHandler):
 
     def end(self, reason: str) -> None:
         """Close it; nothing more is heard of it."""
+        self.write_gathered()
         self._frames.close()
         self._held = ()
         self.stream.handler = StreamHandler()
@@ -624,6 +660,7 @@ class StreamSender(_StreamEnd, SendingChannel):
         SendingChannel.__init__(self, route, self._small)
         self.unacknowledged: list[Message] = []  # on lost streams
         self._writer = pair.keys.stream_writer(route.id)
+        self.seal = self._writer.write_many
         self._at = 0  # bytes of the first message that are sent
         self._again = 0  # of the waiting messages: are sent again
 
@@ -631,14 +668,16 @@ class StreamSender(_StreamEnd, SendingChannel):
         if self._in_turn:
             self._messages += batch
             return
-        scheduler = self._scheduler
+        scheduler, via = self._scheduler, self.via
         size = len(batch[0][0]) if len(batch) == 1 else sum([len(payload) for payload, _, _ in batch])
         if size <= scheduler.chunk and (size < LARGE or not self._must_move(size)):
             # Nothing waits, so there is no turn to wait for: the hot path.
-            data = self._writer.write_many(batch)
+            if via.gather(self, batch, size):
+                return
+            data = self.seal(batch)
             scheduler.charge(self, len(data))
-            self.via.unwritten.append((self, batch))
-            self.via.write(data, scheduler.count(len(data)))
+            via.unwritten.append((self, batch))
+            via.write(data, scheduler.count(len(data)))
             return
         self._wait(batch)
 

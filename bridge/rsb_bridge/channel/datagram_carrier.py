@@ -165,6 +165,9 @@ class DatagramCarrier(Carrier):
         self.proven = False
         self.pacer.write_off()
 
+    def write_gathered(self) -> None:
+        """Do nothing: datagrams leave as they are made."""
+
     def tick(self) -> None:
         """Write off bytes that no receipt has covered. Called once a second."""
         if self.is_stuck(self._loop.time()):

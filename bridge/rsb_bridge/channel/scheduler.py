@@ -80,6 +80,10 @@ class Carrier(ABC):
     def write_off(self) -> None:
         """Count what is in transit no longer, and take little or nothing more until receipts come again."""
 
+    @abstractmethod
+    def write_gathered(self) -> None:
+        """Send the messages of this moment that are gathered."""
+
     def is_stuck(self, now: float) -> bool:
         """Whether what is in transit gets no further, at `now` (s)."""
         return self.in_transit > 0 and now - self.moved_at > self.scheduler.stalls_after
@@ -105,6 +109,7 @@ class Scheduler:
     Attributes:
         window: bounds what is in transit.
         sent: bytes sent so far, on all streams.
+        gathered: bytes of messages that streams are about to send together.
         chunk: bytes of a message in one turn.
         acknowledged: bytes that have arrived, or were written off.
         arrived: bytes that have arrived.
@@ -113,7 +118,7 @@ class Scheduler:
     """
 
     def __init__(self, book: ReceiptBook, window: Window) -> None:
-        self.sent = self.acknowledged = self.arrived = 0
+        self.sent = self.gathered = self.acknowledged = self.arrived = 0
         self.acknowledged_at = -math.inf
         self.waits_since = math.inf
         self.chunk = LEAST_CHUNK
@@ -156,10 +161,11 @@ class Scheduler:
 
     # --- turns
 
-    def is_free(self, carrier: Carrier) -> bool:
-        """Whether a message may be sent at once: nothing waits, and both stream and window take it."""
+    @property
+    def is_free(self) -> bool:
+        """Whether a message may be sent at once, if its stream takes it: nothing waits, and the window takes it."""
         # In a pass, turns are sealed and not yet written: a later message of their route would overtake them.
-        return not self._waiting and not self._passing and self.sent < self.window.limit and not carrier.congested
+        return not self._waiting and not self._passing and self.sent + self.gathered < self.window.limit
 
     def join(self, end: SendingChannel) -> None:
         """Queue a route's end for a turn; one that had nothing to send does not make up for that.
@@ -219,6 +225,9 @@ class Scheduler:
             return
         left = _A_PASS
         if self._waiting:
+            if self.gathered:  # else turns of the same routes would be sealed before it
+                for each in self._carriers:
+                    each.write_gathered()
             self._passing = True
             try:
                 while left > 0 and (found := self._next()) is not None:
@@ -420,7 +429,9 @@ class SendingChannel(DataChannel):
     def takes(self, size: int) -> bool:
         """Whether messages of `size` bytes together may be sent now, past the queue."""
         scheduler = self._scheduler
-        return size <= scheduler.chunk and not self.queued and not self._messages and scheduler.is_free(self.via)
+        if size > scheduler.chunk or self.queued or self._messages:
+            return False
+        return scheduler.is_free and not self.via.congested
 
     @property
     def batch_bytes(self) -> int:

@@ -51,6 +51,7 @@ class RosTurns:
         pacing: when the next turn may be.
         gathering: the identifier of the thread, if it takes from several endpoints, and what it took is handed on at
             `gathered`; or 0.
+        hand_on: hands on what was gathered, or None. Set on the thread while it gathers, by the one queue behind it.
     """
 
     def __init__(self, wake: Callable[[], None] | None = None, steady: Callable[[], float] | None = None) -> None:
@@ -62,17 +63,13 @@ class RosTurns:
         self.count = 0
         self.pacing = TurnPacing()
         self.gathering = 0
-        self._hand_on: Callable[[], None] | None = None
+        self.hand_on: Callable[[], None] | None = None
         self.at = self.since = float("inf")
-
-    def hand_on_later(self, hand_on: Callable[[], None]) -> None:
-        """Have what was gathered handed on. Called on the ROS thread while it gathers, by the one queue behind it."""
-        self._hand_on = hand_on
 
     def gathered(self) -> None:
         """Hand on what the thread has gathered."""
         self.gathering = 0
-        hand_on, self._hand_on = self._hand_on, None
+        hand_on, self.hand_on = self.hand_on, None
         if hand_on is not None:
             hand_on()
 
@@ -149,10 +146,10 @@ class RosToLoopQueue:
             express: whether they are handed on at once, and leave at once with all that waits.
         """
         self._batches.append((receiver, batch, express))
+        turns = self._turns
         # Beyond its bound, each batch waits for room.
-        gathers = self._turns.gathering == threading.get_ident() and len(self._batches) <= _BACKLOG
-        if gathers and not express:
-            self._turns.hand_on_later(self._hand_on)
+        if not express and turns.gathering == threading.get_ident() and len(self._batches) <= _BACKLOG:
+            turns.hand_on = self._hand_on
         else:
             self._hand_on()
 

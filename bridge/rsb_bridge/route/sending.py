@@ -499,6 +499,8 @@ class OutgoingPath:
         self._outbox.leaving = sifting(*gates.leaving) if gates.leaving else None
         self._outbox.compose()
         self._stamped = self._route.age.stamped if self._route.age.is_on else None
+        asked = gates.batch or gates.sourced or gates.leaving or self._flow.drivers.are_watched
+        self._is_plain = not (asked or self._stamped or self._compressor or self._route.arming.required)
 
     # --- from ROS
 
@@ -506,6 +508,8 @@ class OutgoingPath:
         """Take messages from ROS, oldest first."""
         if self._route.idle:
             self._route.wake()
+        if self._is_plain and self._send_plain(batch):
+            return
         if self._batch is not None and (why := self._batch(NO_SAMPLE, self._context.now())) is not None:
             self.ledger.lose(CAUSES[why], len(batch))
             return
@@ -514,6 +518,29 @@ class OutgoingPath:
         elif shift := self._context.stamps.shift:
             batch = [each._replace(stamp=shifted(each.stamp, shift)) for each in batch]
         self.receive(self._arriving(batch))
+
+    def _send_plain(self, batch: Sequence[RawMessage]) -> bool:
+        """Send messages of one publisher, or return False if there is more to ask of them than their source.
+
+        Nearly all topics are plain, and nearly all messages of a turn come alone.
+        """
+        if self.histories is not None or self._flow.peek_slot.wanted or self._context.stamps.shift:
+            return False
+        publisher = batch[0].gid
+        source = self.loop_filter.table.flags.get(publisher)
+        if source is None:
+            return False
+        messages: list[Message] = []
+        size = 0
+        for payload, stamp, gid, _, _, _ in batch:
+            if gid != publisher:
+                return False
+            messages.append((payload, stamp, source))
+            size += len(payload)
+        self.ledger.offered += len(batch)
+        self.traffic.offered += len(batch)
+        self._send(messages, size, publisher)
+        return True
 
     def too_late(self, batch: Sequence[RawMessage]) -> None:
         """Drop messages that come after their opening."""

@@ -117,9 +117,16 @@ class JoinedWrites:
     def __init__(self) -> None:
         self.is_open = False
         self._held: dict[Stream, bytearray] = {}
+        self._gathering: list[Callable[[], None]] = []
+
+    def gather(self, write: Callable[[], None]) -> None:
+        """Have somebody who gathers what a stream is to send `write` it, before anything else is written."""
+        self._gathering.append(write)
 
     def hold(self, stream: Stream, data: bytes | memoryview) -> None:
         """Hold what is written to a stream."""
+        if self._gathering:
+            self._write_gathered()
         held = self._held.get(stream)
         if held is None:
             held = self._held[stream] = bytearray()
@@ -129,15 +136,22 @@ class JoinedWrites:
 
     def send(self, stream: Stream) -> None:
         """Send what is held of a stream."""
+        self._write_gathered()
         held = self._held.pop(stream, None)
         if held is not None:
             stream.send_held(held)
 
     def send_all(self) -> None:
         """Send all that is held."""
+        self._write_gathered()
         while self._held:
             stream, held = self._held.popitem()
             stream.send_held(held)
+
+    def _write_gathered(self) -> None:
+        gathering, self._gathering = self._gathering, []
+        for write in gathering:
+            write()
 
 
 class Stream(asyncio.Protocol):
