@@ -84,16 +84,18 @@ soak fuzz: $(STAMP)
 	$(BIN)/python -m tests.$@ --seconds $(SECONDS)
 bench: $(STAMP)
 	$(BIN)/python -m bench.run
-# Its C library is built with cmake and read with libclang (apt install cmake libclang-dev).
+# The C library of the first is built with cmake and read with libclang (apt install cmake libclang-dev).
+PEERS := zenoh_bridge dds_programs
 peers:
 	@if command -v cargo > /dev/null; then \
-	  cargo build --release --locked --manifest-path bench/peers/zenoh_bridge/Cargo.toml; \
-	else echo "no cargo here: zenoh-bridge-ros2dds is not built, and benchmarks run without it"; fi
+	  for each in $(PEERS); do cargo build --release --locked --manifest-path bench/peers/$$each/Cargo.toml || exit 1; done; \
+	else echo "no cargo here: $(PEERS) are not built, and benchmarks run without them"; fi
 dist deb lock:
 	.ci/release.sh $@
 # Pictures of real terminals also need Xvfb, kitty, xterm, ImageMagick and DejaVu's font; without them, it draws the others.
 screenshots texts plots: $(STAMP)
 	$(BIN)/python docs/$@.py
+	$(if $(filter plots,$@),$(BIN)/python docs/foreign_table.py)
 man: $(STAMP)
 	$(BIN)/python docs/manpage.py
 

@@ -1,0 +1,287 @@
+"""Programs in a domain for `bench.foreign_dds`: ``python -m bench.dds_ends stock|other|cyclone|PROGRAM DOMAIN NODE``.
+
+``stock`` is a node with rclpy, ``other`` one with the Python of `OTHER_PYTHON`, ``cyclone`` a participant of Cyclone
+DDS, and another one a program of `make peers`. ``server`` is Fast DDS's discovery server at a port, no program.
+Each does what the lines of standard input say, and ends with it:
+
+- ``write TOPIC [POLICY...]``, ``read TOPIC [POLICY...]``: of std_msgs/String. A policy is ``best_effort``, ``latched``,
+  ``depth=N``, or ``deadline``, ``lifespan`` or ``lease`` (manual by topic) with ``=SECONDS``.
+- ``publish TOPIC MARK SIZE``
+- of nodes, ``serve NAME MAPPING`` and ``call NAME MAPPING`` of std_srvs/SetBool (``answered NAME MESSAGE``), ``set NODE
+  NUMBER`` of its parameter ``rate`` (``answered NODE``), ``tick SECOND`` to /clock and ``watch`` of it
+
+It says ``ready``, ``heard TOPIC MARK SIZE`` and ``event TOPIC deadline|not_alive|...``. This module needs nothing of
+rsb-console, since it also runs with another distribution's Python.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+import time
+from abc import ABC, abstractmethod
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+PROGRAMS = Path(__file__).parent / "peers/dds_programs/target/release"
+_EVERY = 0.005  # s between two looks for samples, as in `dds_programs`
+_MOST = 1000
+"""Samples that Cyclone DDS keeps for late joiners, and that one look takes."""
+_OF_WHEELS = "LD_LIBRARY_PATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
+"""Variables that ROS's wheels set once."""
+_saying = threading.Lock()
+
+
+class Participant(ABC):
+    """Writers and readers of a program."""
+
+    def __init__(self) -> None:
+        self._writers: dict[str, Any] = {}
+        self._readers: dict[str, Any] = {}
+
+    @abstractmethod
+    def write(self, topic: str, qos: dict[str, float]) -> None: ...
+
+    @abstractmethod
+    def read(self, topic: str, qos: dict[str, float]) -> None: ...
+
+    @abstractmethod
+    def publish(self, topic: str, text: str) -> None: ...
+
+    def run(self) -> None:
+        """Do what the lines of standard input say."""
+        _say("ready")
+        for line in sys.stdin:
+            match line.split():
+                case ["write", topic, *policies]:
+                    self.write(topic, _qos(policies))
+                case ["read", topic, *policies]:
+                    self.read(topic, _qos(policies))
+                case ["publish", topic, mark, size]:
+                    self.publish(topic, f"{mark} {'x' * int(size)}")
+                case [order, *words]:
+                    getattr(self, order)(*words)
+
+
+def _qos(policies: list[str]) -> dict[str, float]:
+    return {key: float(value or 1) for key, _, value in (policy.partition("=") for policy in policies)}
+
+
+def _heard(topic: str, text: str) -> None:
+    _say("heard", topic, text.partition(" ")[0], len(text))
+
+
+def _say(*words: object) -> None:
+    with _saying:
+        print(*words, flush=True)
+
+
+class Stock(Participant):
+    """A node with rclpy."""
+
+    def __init__(self, domain: int, name: str) -> None:
+        super().__init__()
+        import rclpy  # noqa: PLC0415 -- the other programs need none
+        from std_msgs.msg import String  # noqa: PLC0415
+
+        self._string: Any = String
+        self._clients: dict[str, Any] = {}
+        rclpy.init(domain_id=domain)
+        self._node = rclpy.create_node(name)
+        self._node.declare_parameter("rate", 5)
+        threading.Thread(target=rclpy.spin, args=(self._node,), daemon=True).start()
+
+    def write(self, topic: str, qos: dict[str, float]) -> None:
+        self._writers[topic] = self._node.create_publisher(self._string, topic, self._profile(qos))
+
+    def read(self, topic: str, qos: dict[str, float]) -> None:
+        from rclpy.event_handler import SubscriptionEventCallbacks  # noqa: PLC0415
+
+        def liveliness(status: Any) -> None:
+            if status.not_alive_count:
+                _say("event", topic, "not_alive")
+
+        events = SubscriptionEventCallbacks(
+            deadline=lambda _: _say("event", topic, "deadline"),
+            liveliness=liveliness,
+            incompatible_qos=lambda status: _say("event", topic, "incompatible", status.last_policy_kind),
+        )
+        self._readers[topic] = self._node.create_subscription(
+            self._string, topic, lambda message: _heard(topic, message.data), self._profile(qos), event_callbacks=events
+        )
+
+    def publish(self, topic: str, text: str) -> None:
+        self._writers[topic].publish(self._string(data=text))
+
+    def serve(self, service: str, _: str) -> None:
+        from std_srvs.srv import SetBool  # noqa: PLC0415
+
+        def answer(request: Any, response: Any) -> Any:
+            response.success, response.message = request.data, "done"
+            return response
+
+        self._node.create_service(SetBool, service, answer)
+
+    def call(self, service: str, _: str) -> None:
+        from std_srvs.srv import SetBool  # noqa: PLC0415
+
+        self._ask(SetBool, service, SetBool.Request(data=True), lambda response: response.message)
+
+    def set(self, node: str, number: str) -> None:
+        from rcl_interfaces.srv import SetParameters  # noqa: PLC0415
+        from rclpy.parameter import Parameter  # noqa: PLC0415
+
+        request = SetParameters.Request(parameters=[Parameter("rate", value=int(number)).to_parameter_msg()])
+        self._ask(SetParameters, f"{node}/set_parameters", request, lambda response: response.results[0].successful)
+
+    def tick(self, second: str) -> None:
+        from rosgraph_msgs.msg import Clock  # noqa: PLC0415
+
+        if "/clock" not in self._writers:
+            self._writers["/clock"] = self._node.create_publisher(Clock, "/clock", self._profile({}))
+        message = Clock()
+        message.clock.sec = int(second)
+        self._writers["/clock"].publish(message)
+
+    def watch(self) -> None:
+        from rosgraph_msgs.msg import Clock  # noqa: PLC0415
+
+        def heard(message: Any) -> None:
+            _say("heard", "/clock", f"m{message.clock.sec}", 0)
+
+        self._node.create_subscription(Clock, "/clock", heard, self._profile({"best_effort": 1}))
+
+    def _ask(self, kind: Any, service: str, request: Any, answer: Callable[[Any], object]) -> None:
+        """Call a service, and say its answer; once it is not there, say nothing."""
+        client = self._clients.get(service) or self._node.create_client(kind, service)
+        self._clients[service] = client
+        if client.service_is_ready():
+            future = client.call_async(request)
+            future.add_done_callback(lambda done: _say("answered", service, answer(done.result())))
+
+    def _profile(self, qos: dict[str, float]) -> Any:
+        from rclpy import qos as policies  # noqa: PLC0415
+        from rclpy.duration import Duration  # noqa: PLC0415
+
+        profile = policies.QoSProfile(depth=int(qos.get("depth", 10)))
+        if "best_effort" in qos:
+            profile.reliability = policies.ReliabilityPolicy.BEST_EFFORT
+        if "latched" in qos:
+            profile.durability = policies.DurabilityPolicy.TRANSIENT_LOCAL
+        if "deadline" in qos:
+            profile.deadline = Duration(seconds=qos["deadline"])
+        if "lifespan" in qos:
+            profile.lifespan = Duration(seconds=qos["lifespan"])
+        if "lease" in qos:
+            profile.liveliness = policies.LivelinessPolicy.MANUAL_BY_TOPIC
+            profile.liveliness_lease_duration = Duration(seconds=qos["lease"])
+        return profile
+
+
+class Cyclone(Participant):
+    """A participant of Cyclone DDS."""
+
+    def __init__(self, domain: int) -> None:
+        super().__init__()
+        os.environ["CYCLONEDDS_URI"] = (
+            "<CycloneDDS><Domain><General><Interfaces><NetworkInterface name='lo' multicast='true'/></Interfaces>"
+            "</General></Domain></CycloneDDS>"
+        )
+        import cyclonedds.domain  # noqa: PLC0415
+        from cyclonedds.idl import make_idl_struct  # noqa: PLC0415
+
+        self._string: Any = make_idl_struct("String", "std_msgs::msg::dds_::String_", {"data": str})
+        self._participant: Any = cyclonedds.domain.DomainParticipant(domain)
+        threading.Thread(target=self._poll, daemon=True).start()
+
+    def write(self, topic: str, qos: dict[str, float]) -> None:
+        from cyclonedds.pub import DataWriter  # noqa: PLC0415
+
+        self._writers[topic] = DataWriter(self._participant, self._topic(topic), _cyclone_qos(qos))
+
+    def read(self, topic: str, qos: dict[str, float]) -> None:
+        from cyclonedds.core import Listener  # noqa: PLC0415
+        from cyclonedds.sub import DataReader  # noqa: PLC0415
+
+        class Events(Listener):  # type: ignore[misc]
+            def on_requested_deadline_missed(self, *_: object) -> None:
+                _say("event", topic, "deadline")
+
+            def on_liveliness_changed(self, _: object, status: Any) -> None:
+                if status.not_alive_count:
+                    _say("event", topic, "not_alive")
+
+            def on_requested_incompatible_qos(self, _: object, status: Any) -> None:
+                _say("event", topic, "incompatible", status.last_policy_id)
+
+        reader = DataReader(self._participant, self._topic(topic), _cyclone_qos(qos), listener=Events())
+        self._readers = {**self._readers, topic: reader}  # which another thread walks through
+
+    def publish(self, topic: str, text: str) -> None:
+        self._writers[topic].write(self._string(data=text))
+
+    def _topic(self, name: str) -> Any:
+        from cyclonedds.topic import Topic  # noqa: PLC0415
+
+        return Topic(self._participant, f"rt{name}", self._string)
+
+    def _poll(self) -> None:
+        while True:
+            for topic, reader in self._readers.items():
+                for each in reader.take(_MOST):
+                    if each.sample_info.valid_data:
+                        _heard(topic, each.data)
+            time.sleep(_EVERY)
+
+
+def _cyclone_qos(qos: dict[str, float]) -> Any:
+    from cyclonedds.core import Policy, Qos  # noqa: PLC0415
+    from cyclonedds.util import duration  # noqa: PLC0415
+
+    def seconds(policy: str) -> Any:
+        return duration(seconds=qos[policy])
+
+    kept = Policy.History.KeepLast(int(qos.get("depth", 10)))
+    policies = [Policy.DataRepresentation(use_cdrv0_representation=True), kept]
+    reliable = Policy.Reliability.Reliable(duration(seconds=10))
+    policies.append(Policy.Reliability.BestEffort if "best_effort" in qos else reliable)
+    if "latched" in qos:
+        policies += [Policy.Durability.TransientLocal, Policy.DurabilityService(0, kept, _MOST, 1, _MOST)]
+    if "deadline" in qos:
+        policies.append(Policy.Deadline(seconds("deadline")))
+    if "lifespan" in qos:
+        policies.append(Policy.Lifespan(seconds("lifespan")))
+    if "lease" in qos:
+        policies.append(Policy.Liveliness.ManualByTopic(seconds("lease")))
+    return Qos(*policies)
+
+
+def main() -> None:
+    part, domain, name = sys.argv[1:]
+    match part:
+        case "stock":
+            Stock(int(domain), name).run()
+        case "cyclone":
+            Cyclone(int(domain)).run()
+        case "other":
+            for each in _OF_WHEELS:  # each distribution has its own libraries
+                os.environ.pop(each, None)
+            _become(os.environ["OTHER_PYTHON"], "-m", "bench.dds_ends", "stock", domain, name)
+        case "server":
+            _become("fast-discovery-server", "-i", "0", "-l", "127.0.0.1", "-p", domain)
+        case program:
+            _become(str(PROGRAMS / program), domain)
+
+
+def _become(program: str, *arguments: str) -> None:
+    """Run another program in this process, so that a signal reaches it."""
+    os.dup2(sys.stdout.fileno(), 1)  # Python's may be another file (`rsb_console.child`)
+    os.execvp(program, [program, *arguments])
+
+
+if __name__ == "__main__":
+    main()
