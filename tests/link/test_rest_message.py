@@ -539,7 +539,7 @@ def test_the_velocity_that_the_robot_has_is_reported(driven: Driven) -> None:
 
     def shown() -> list[tuple[float, float] | None]:
         if (counts := told_counts(driven.receiver)) is not None:
-            there.half.counted(counts)
+            there.half.reported(counts)
         found = [each.snapshot().arming for each in (driven.receiver.route, there)]
         return [None if each is None else each.velocity for each in found]
 

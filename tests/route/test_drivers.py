@@ -73,7 +73,7 @@ def moves(world: World) -> None:
         if number % 10 == 0:
             count = len(world.sent)
             world.sender.reported(ReceivedReport(route=1, subscribers=1))
-            world.sender.counted(ReceivedCounts(route=1, received=count, delivered=count, newest=count))
+            world.sender.reported(ReceivedCounts(route=1, received=count, delivered=count, newest=count))
             world.sender.route.tick()
         for gid in (FIRST, SECOND)[: 1 + number % 2]:
             if gid in world.graph.nodes:

@@ -230,7 +230,7 @@ def test_impossible_report_is_said_once_and_ends_nothing(make_context: Callable[
     sender = half_of(Sender, context, topic)
     sender.route.open(1)
     for delivered in (131, -1, 2**63):
-        sender.counted(ReceivedCounts(route=1, delivered=delivered, latency_p50=float("nan"), jitter=1e300))
+        sender.reported(ReceivedCounts(route=1, delivered=delivered, latency_p50=float("nan"), jitter=1e300))
     assert [event.code for event in context.events.after(0)] == [EventCode.ROUTE_IMPLAUSIBLE_REPORT]
     assert (sender.flow.latency.p50, sender.flow.latency.jitter) == (None, None)
     check(sender.facts.ledger)
@@ -256,9 +256,9 @@ def test_a_sender_s_impossible_ledger_is_not_shown(
     context = make_context(role="server")
     receiver = half_of(Receiver, context, topic, here=False)
     receiver.route.open(1)
-    receiver.counted(SentCounts(route=1, offered=7, delivered=4, unknown=2, in_flight=1))
+    receiver.reported(SentCounts(route=1, offered=7, delivered=4, unknown=2, in_flight=1))
     receiver.reported(SentReport(route=1, verdict=VerdictRecord("down", "slow", "still told")))
-    receiver.counted(SentCounts(route=1, **wrong))
+    receiver.reported(SentCounts(route=1, **wrong))
     assert (receiver.facts.ledger.offered, receiver.facts.ledger.delivered, receiver.facts.ledger.unknown) == (7, 4, 2)
     assert receiver.route.judged.peer.text == "still told"
     assert [event.code for event in context.events.after(0)] == [EventCode.ROUTE_IMPLAUSIBLE_REPORT]

@@ -114,7 +114,7 @@ def test_receiver_knows_what_sender_has_reported(make_context: Callable[..., Con
     half.reported(SentReport(route=1, verdict=VerdictRecord("waiting", Cause.SIMILAR_NAME, nobody)))
     assert stages_of(half)["publisher seen"].detail == nobody
     half.reported(SentReport(route=1, publishers=1, subscribed=True))
-    half.counted(SentCounts(route=1, offered=3, in_flight=3))
+    half.reported(SentCounts(route=1, offered=3, in_flight=3))
     stages = stages_of(half)
     done = {name for name, each in stages.items() if each.done}
     assert {"publisher seen", "subscribed", "sent"} <= done

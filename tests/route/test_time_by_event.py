@@ -182,7 +182,7 @@ def live(seed: int) -> int:
         for _ in range(_LIFE):
             by_event.second()
             polled.second()
-            with patch.object(Route, "_stays_fine", lambda *_: False):
+            with patch("rsb_bridge.route.route.stays_fine", lambda *_: False):
                 polled.half.route.tick()
             if by_event.peer.timetable.look(loop.time()):
                 by_event.half.route.tick()

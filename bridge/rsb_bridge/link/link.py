@@ -221,11 +221,7 @@ class RouteReports(Extension):
     def _receive_entry(self, entry: ReportEntry) -> None:
         route = self._link.ids.open_route(entry.route)
         # A peer may report as the half that is here.
-        if route is None:
-            return
-        if isinstance(entry, route.half.peer_counts):
-            route.half.counted(entry)
-        elif isinstance(entry, route.half.peer_report):
+        if route is not None and isinstance(entry, route.half.peer_report):
             route.half.reported(entry)
 
 

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.faults import PathFault
     from rsb_bridge.route.half import Facts, FactsT, Rules
+    from rsb_bridge.route.route import Route
 
 _LINK_STAGE, ACCEPTED = "link up", "peer accepted"
 """Names of stages."""
@@ -82,6 +83,17 @@ def explained(half: Facts, verdict: Verdict) -> Verdict:
         return verdict  # the calls came, and it is a node of this side that has not answered them
     state = State.WAITING if cause is Cause.AWAITS_LINK else verdict.state
     return replace(verdict, state=state, cause=cause, text=path.text)
+
+
+def stays_fine(route: Route, crossing: Crossing, now: float) -> bool:
+    """Whether no rule finds anything, if none has before and the route's signs are the same."""
+    peer = route.peer
+    return (
+        crossing is Crossing.YES
+        and not (route.arming.required or route.losses.reasons or route.limit.rate)
+        and peer.verdicts is None and peer.path.fault is None and route.link_full is None
+        and route.half.is_well(now) and route.trouble() is None
+    )  # fmt: skip
 
 
 class LossyPath:

@@ -138,15 +138,13 @@ class Half(Protocol):
     Attributes:
         outgoing: whether messages or calls come from ROS here.
         duplex: whether both sides send.
-        peer_report: type of the reports that the other side's half sends.
-        peer_counts: type of the counts that it sends, or none.
+        peer_report: type of the reports that the other side's half sends, or several.
         rules: of its verdict.
     """
 
     outgoing: ClassVar[bool]
     duplex: ClassVar[bool]
     peer_report: ClassVar[Any]
-    peer_counts: ClassVar[Any]
     rules: ClassVar[Rules[Any]]
 
     def __init__(self, route: Any) -> None: ...
@@ -210,9 +208,6 @@ class Half(Protocol):
 
     def reported(self, report: Any) -> None:
         """Take a report of the peer, a `peer_report`. Called by `RouteReports`."""
-
-    def counted(self, counts: Any) -> None:
-        """Take counts of the peer, `peer_counts`. Called by `RouteReports`."""
 
     # --- time
 

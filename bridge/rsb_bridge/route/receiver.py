@@ -58,8 +58,7 @@ class Receiver:
         rest: follows the last message of an arming.
     """
 
-    peer_report: ClassVar[Any] = SentReport
-    peer_counts: ClassVar[Any] = SentCounts
+    peer_report: ClassVar[Any] = SentCounts, SentReport
     outgoing: ClassVar[bool] = False
     duplex: ClassVar[bool] = False
     rules: ClassVar[Rules[Any]] = OF_RECEIVER
@@ -343,8 +342,11 @@ class Receiver:
 
     # --- the ledger
 
-    def reported(self, report: SentReport) -> None:
-        """Take what the sender knows of the present opening."""
+    def reported(self, report: SentCounts | SentReport) -> None:
+        """Take what the peer knows of the present opening."""
+        if isinstance(report, SentCounts):
+            self._counted(report)
+            return
         failed_before = failure_of(self.route.judged.peer)
         # Until the first report of an opening, the verdict is that this side waits for it.
         if self.facts.report_now is None:
@@ -362,7 +364,7 @@ class Receiver:
         if failure and failure != failed_before:
             self.route.log(Level.ERROR, EventCode.ROUTE_SUBSCRIBE_FAILED, f"on the other side: {failure}")
 
-    def counted(self, counts: SentCounts) -> None:
+    def _counted(self, counts: SentCounts) -> None:
         """Take the sender's ledger, which is right for both sides."""
         self.route.wake()
         ledger = reported_ledger(counts, self.route.context.wall())

@@ -22,7 +22,7 @@ from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.verdict import FINE
 from rsb_bridge.route.age import MessageAge
 from rsb_bridge.route.arming import AGREED, Arming, Disarmed, Settling
-from rsb_bridge.route.blocking_rules import LossyPath, judge
+from rsb_bridge.route.blocking_rules import LossyPath, judge, stays_fine
 from rsb_bridge.route.combined_verdict import CombinedVerdict
 from rsb_bridge.route.crossing import Crossing
 from rsb_bridge.route.idling import Idling
@@ -130,6 +130,7 @@ class Route:
         closed_ids: ids of its last openings on the present connection, the oldest first.
         weight: of its share of the link.
         idle: whether it needs no tick now, as nothing has happened: then it is neither reported nor shown again.
+        only_counts: whether nothing but figures may differ from its last snapshot.
         rested: callbacks; when the route wakes, each gets the time (s) until which nothing came.
         half: carries its messages or calls on this side.
     """
@@ -181,6 +182,7 @@ class Route:
         self._lossy_path = LossyPath()
         self._shown_of_features: dict[str, Any] = {}
         self._shown_signs: Signs | None = None
+        self.only_counts = False
         self.judged = CombinedVerdict(sends=self.outgoing, peer_name="server" if peer.is_client else peer.name)
         self.meter = RateMeter(context.now())
         self.rested = [self.meter.rested]
@@ -425,13 +427,6 @@ class Route:
         blank = self.rests(now) and self.meter.is_blank(now) and not self.judged.announced.verdict.lasting
         return blank and self.peer.route_fields(self) == self._shown_of_features
 
-    @property
-    def only_counts(self) -> bool:
-        """Whether nothing but figures may differ from its last snapshot."""
-        if self._verdict is None or self._verdict.state not in _LASTS or self.arming.required:
-            return False
-        return self.idling.signs is self._shown_signs and not self.judged.announced.verdict.lasting
-
     def _signs(self) -> Signs:
         """Return what changes if anything happens to it, apart from messages and the passing of time."""
         carried = self.half.carried
@@ -462,37 +457,24 @@ class Route:
         self.reopening.observe(connected=connected, flowing=crossing.flows)
         if self.losses.reasons:  # nearly never, and the question what it owes takes a while
             self.losses.tick(now, idle=connected and not self.half.facts.owing)
-        stays_fine, passed = self._stays_fine(now, crossing), self.half.passed
-        if not stays_fine:
-            self._announce(now, crossing)
+        fine = self._verdict is self._verdict_for_peer is self.judged.announced.verdict is FINE
+        # Nearly each second of nearly each topic, and half the time of asking all rules.
+        fine = fine and self.idling.lasts(self._signs, now) and stays_fine(self, crossing, now)
+        if not fine:
+            own, self._verdict_for_peer = self._judged(now, crossing)
+            self._verdict = own
+            said = self.judged.announce(own, now, self.peer.path.fault)
+            if said and self.purpose.in_graph:  # of an internal route, what has proposed it tells the operator
+                shown, from_peer = self.judged.announced
+                since = self.context.wall() - (now - self.judged.since(shown, now))
+                about: About = {"cause": said.cause, "state": shown.state, "since": since, "from_peer": from_peer}
+                self.log(said.level, said.code, said.text, **about)
+        passed = self.half.passed
         self.half.act(now, crossing)
         # Last, so that the signs contain all that the tick has changed; else the next one, which comes in a second.
-        signs = self.idling.signs if stays_fine and passed != self.idling.passed else self._signs()
+        signs = self.idling.signs if fine and passed != self.idling.passed else self._signs()
         self.idling.ticked(signs, passed, now, lambda: self._next_change(now, crossing))
-
-    def _announce(self, now: float, crossing: Crossing) -> None:
-        """Judge it, and log what operators should know of the verdict."""
-        own, self._verdict_for_peer = self._judged(now, crossing)
-        self._verdict = own
-        said = self.judged.announce(own, now, self.peer.path.fault)
-        if said and self.purpose.in_graph:  # of an internal route, what has proposed it tells the operator
-            shown, from_peer = self.judged.announced
-            since = self.context.wall() - (now - self.judged.since(shown, now))
-            about: About = {"cause": said.cause, "state": shown.state, "since": since, "from_peer": from_peer}
-            self.log(said.level, said.code, said.text, **about)
-
-    def _stays_fine(self, now: float, crossing: Crossing) -> bool:
-        """Whether nothing was wrong, and nothing that a verdict follows from has changed since.
-
-        It is so nearly each second of nearly each topic, and takes half the time of asking all rules.
-        """
-        return (
-            self._verdict is self._verdict_for_peer is self.judged.announced.verdict is FINE
-            and crossing is Crossing.YES
-            and not (self.arming.required or self.losses.reasons or self.limit.rate)
-            and self.peer.verdicts is None and self.peer.path.fault is None and self.link_full is None
-            and self.idling.lasts(self._signs, now) and self.half.is_well(now) and self.trouble() is None
-        )  # fmt: skip
+        self.only_counts = self.only_counts and self.idling.signs is self._shown_signs
 
     @property
     def link_full(self) -> Fullness | None:
@@ -570,6 +552,7 @@ class Route:
         facts, carried = self.half.facts, self.half.carried
         self._shown_of_features, self._shown_signs = self.peer.route_fields(self), self.idling.signs
         verdict, from_peer = self.judged.shown(self.verdict())
+        self.only_counts = verdict.state in _LASTS and not (verdict.lasting or self.arming.required)
         common = partial(
             RouteSnapshot,
             key=self.key,
@@ -611,7 +594,7 @@ class Route:
 
     def judge_again(self) -> None:
         """Make a new verdict when the next one is asked for, and within a second."""
-        self._verdict = None
+        self._verdict, self.only_counts = None, False
         self.wake()
 
     def log(self, level: Level, code: EventCode, text: str, **about: Unpack[About]) -> None:

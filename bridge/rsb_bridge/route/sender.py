@@ -60,8 +60,7 @@ class Sender:
         path: the path of the messages.
     """
 
-    peer_report: ClassVar[Any] = ReceivedReport
-    peer_counts: ClassVar[Any] = ReceivedCounts
+    peer_report: ClassVar[Any] = ReceivedCounts, ReceivedReport
     outgoing: ClassVar[bool] = True
     duplex: ClassVar[bool] = False
     rules: ClassVar[Rules[Any]] = OF_SENDER
@@ -400,8 +399,11 @@ class Sender:
 
     # --- the ledger
 
-    def reported(self, report: ReceivedReport) -> None:
+    def reported(self, report: ReceivedCounts | ReceivedReport) -> None:
         """Take what the peer knows of the present opening."""
+        if isinstance(report, ReceivedCounts):
+            self._counted(report)
+            return
         if report.malformed not in ("", self.facts.malformed):
             whose = f"{self.carried.type_name} to {self.route.peer.name}"
             text = f"malformed {whose}: {report.malformed}: see the node here that sent it"
@@ -419,7 +421,7 @@ class Sender:
         self._renewal.told(self.flow.audience.count, rests=self.rests)
         self.lazy.told(wanted=report.wanted)
 
-    def counted(self, counts: ReceivedCounts) -> None:
+    def _counted(self, counts: ReceivedCounts) -> None:
         """Take the peer's figures of the present opening."""
         now = self.route.context.now()
         self.route.wake()

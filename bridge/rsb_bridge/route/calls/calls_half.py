@@ -43,7 +43,6 @@ class CallsHalf:
     """
 
     peer_report: ClassVar[Any] = CallsReport
-    peer_counts: ClassVar[Any] = ()
     rules: ClassVar[Rules[Any]] = OF_CALLS
     duplex: ClassVar[bool] = True
     rests: ClassVar[bool] = False
@@ -141,9 +140,6 @@ class CallsHalf:
         self.flow.report = report
         route.wake()
         route.judged.receive(report.verdict, route.context.now())
-
-    def counted(self, counts: Any) -> None:
-        """Gets none: calls have no counts of their own."""
 
     def news(self) -> Sequence[CallsReport]:
         route, malformed, verdict = self.route, self.types.last_malformed, self.route.verdict(for_peer=True)
