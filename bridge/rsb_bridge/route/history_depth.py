@@ -17,7 +17,7 @@ again, over a cut of the link, too.
 
 from __future__ import annotations
 
-import secrets
+import hashlib
 from collections import deque
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
@@ -126,8 +126,8 @@ class _Publisher:
 
 
 @dataclass(slots=True)
-class Remembered:
-    """What a route remembers of a latched topic's publishers over its openings; histories keep it up.
+class KnownPublishers:
+    """The publishers of a latched topic as a route knows them from one opening to the next; histories keep it up.
 
     Attributes:
         taken: the newest number that was taken, by publisher.
@@ -156,7 +156,7 @@ class Histories:
         depth: int,
         lifespan: float,
         known: Mapping[bytes, int],
-        remembered: Remembered,
+        remembered: KnownPublishers,
     ) -> None:
         """Begin without publishers.
 
@@ -372,8 +372,9 @@ class Histories:
         if self._silent.asks or not self._silent.hear_again(gid):
             self._send_newest_later(newest_then)
             return
-        # Of the present id, an earlier process of this side may have made the same one.
-        self._remembered.other_ids[gid] = secrets.token_bytes(PUBLISHER_ID_LENGTH)
+        # Of the present id alone, an earlier process of this side may have made the same one.
+        made_of = self._id(gid) + str(self._loop.time()).encode()
+        self._remembered.other_ids[gid] = hashlib.blake2b(made_of, digest_size=PUBLISHER_ID_LENGTH).digest()
         newest.taken = newest.first = 0
         newest.settled = newest.exact
         self._found()
