@@ -18,7 +18,6 @@ again, over a cut of the link, too.
 from __future__ import annotations
 
 import hashlib
-import struct
 from collections import deque
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
@@ -127,8 +126,8 @@ class _Publisher:
 
 
 @dataclass(slots=True)
-class RememberedHistories:
-    """What a route remembers of a latched topic's publishers over its openings; histories keep it up.
+class KnownPublishers:
+    """The publishers of a latched topic as a route knows them from one opening to the next; histories keep it up.
 
     Attributes:
         taken: the newest number that was taken, by publisher.
@@ -157,7 +156,7 @@ class Histories:
         depth: int,
         lifespan: float,
         known: Mapping[bytes, int],
-        remembered: RememberedHistories,
+        remembered: KnownPublishers,
     ) -> None:
         """Begin without publishers.
 
@@ -376,8 +375,8 @@ class Histories:
             self._send_newest_later(newest_then)
             return
         # Of the present id alone, an earlier process of this side may have made the same one.
-        seed = self._id(gid) + struct.pack("d", self._loop.time())
-        self._remembered.other_ids[gid] = hashlib.blake2b(seed, digest_size=PUBLISHER_ID_LENGTH).digest()
+        made_of = self._id(gid) + str(self._loop.time()).encode()
+        self._remembered.other_ids[gid] = hashlib.blake2b(made_of, digest_size=PUBLISHER_ID_LENGTH).digest()
         newest.taken = newest.first = 0
         newest.settled = newest.exact
         self._found()

@@ -18,7 +18,7 @@ from rsb_bridge.ros.lasting_subscription import LastingSubscription
 from rsb_bridge.ros.publication_numbers import PublicationNumbers, Untaken
 from rsb_bridge.ros.ros_interface import BATCH, RosError
 from rsb_bridge.route.combined_verdict import named
-from rsb_bridge.route.history_depth import Histories, RememberedHistories, note_taken
+from rsb_bridge.route.history_depth import Histories, KnownPublishers, note_taken
 from rsb_bridge.route.lease import Marker
 from rsb_bridge.route.peer_budget import TypeUse
 from rsb_bridge.route.route import promised_keep
@@ -81,7 +81,7 @@ class TopicSubscription:
         self._receiver = _Receiver(path.offer)
         self._subscription: LastingSubscription | None = None
         self._depth = 0
-        self._remembered = RememberedHistories()  # of a latched topic
+        self._remembered = KnownPublishers()  # of a latched topic
         self._lost_seen = 0
         self._unmatched_ticks = 0
         self._reliability = _Reliability(route, self._unreliable)
