@@ -6,8 +6,8 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.channel.numbered_messages import CUT, Numbers, reopen, stream_of
 from tests.channel.sides import Route, connected
-from tests.channel.test_lost_streams import CUT, Numbers, reopen, stream_of
 from tests.support.coroutines import until
 
 from rsb_bridge.channel.data_stream import LARGE

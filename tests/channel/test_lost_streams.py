@@ -3,82 +3,29 @@
 from __future__ import annotations
 
 import asyncio
-from itertools import count
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.channel.sides import Route, by_sockets, connected
+from tests.channel.numbered_messages import CUT, Numbers, reopen, stream_of
+from tests.channel.sides import Route, connected
 from tests.support.connection_keys import connection_keys
 from tests.support.constants import STREAM_DEAD_AFTER, STREAM_STALLED_AFTER
 from tests.support.coroutines import until
 
 from rsb_bridge.channel.data_stream import LARGE
 from rsb_bridge.model.fates import ARM_REQUIRED, BEST_EFFORT, RELIABLE
-from rsb_bridge.model.reason import EndCode, Reason
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.wire.framing import DataWriter
 from rsb_bridge.wire.sealing import CipherSuite
 
 if TYPE_CHECKING:
-    from tests.channel.sides import Side
-
-    from rsb_bridge.channel.data_stream import DataStream
     from rsb_bridge.wire.sealing import Role
-
-CUT = Reason("cut", EndCode.BROKE)
-_NUMBERS = count(3)
 
 
 @pytest.fixture(autouse=True)
 def _late_to_notice(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let a busy machine stand still between a message and the loss of its stream, whose routes would be closed."""
     STREAM_STALLED_AFTER.set(monkeypatch, 60.0)
-
-
-class Numbers:
-    """Numbered messages of one route.
-
-    Args:
-        size: bytes of each.
-    """
-
-    def __init__(self, side: Side, route: int, size: int) -> None:
-        self._near, self._far, self._size = side.routes[route], side.other.routes[route], size
-        self.sent = 0
-
-    def send(self, count: int) -> None:
-        for number in range(self.sent, self.sent + count):
-            self._near.send(number.to_bytes(4) + bytes(self._size - 4))
-        self.sent += count
-
-    @property
-    def arrived(self) -> list[int]:
-        return [int.from_bytes(payload[:4]) for payload in self._far.payloads]
-
-    @property
-    def counted(self) -> int:
-        """Messages that came, or that the receiving end counts as lost."""
-        return len(self.arrived) + int(self._far.channel.counts().lost)
-
-    def all_known(self) -> bool:
-        assert not self._near.lost, "no more will come"
-        return bool(self.arrived) and self.arrived[-1] == self.sent - 1
-
-
-async def reopen(*sides: Side, names: tuple[str, ...] = ("small", "large")) -> None:
-    """Open streams of these names between both sides, as a client does."""
-    for name in names:
-        number, ends = next(_NUMBERS), await by_sockets()
-        for side, stream in zip(sides, ends, strict=True):
-            side.pair.lose(stream_of(side, name), Reason("replaced", EndCode.BROKE))
-            stream.handler = side.pair.add(stream, number, small=name == "small", large=name == "large")
-            side.pair.resume_routes()
-
-
-def stream_of(side: Side, name: str) -> DataStream:
-    found = getattr(side.pair, name)
-    assert found is not None
-    return found  # type: ignore[no-any-return]
 
 
 @pytest.mark.parametrize("resends", [True, False])
