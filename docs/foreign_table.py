@@ -38,6 +38,7 @@ _REMEDIES: Mapping[str, Mapping[str, str]] = {
     "discovery-server": _SHARED,
     "cyclonedds": _SHARED | {"large": "publish less often, or latched: the first one is often lost"},
     "rustdds": {
+        "latched": "a late joiner hears all 7 that it keeps, now and then out of order: look at a stamp",
         "large": _BUFFER,
         "large_best_effort": _BUFFER,
         "liveliness": "it hears the messages, and is not told: watch for a deadline there",
