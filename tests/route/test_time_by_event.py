@@ -42,8 +42,8 @@ _SEEDS = range(1, 13)
 
 
 _SUBSCRIPTION: Any = SimpleNamespace(
-    spec=None, receives=True, failure="", numbers=PublicationNumbers(float), is_unmatched=False, awaits_match=False, refuses=False,
-    tick=lambda publishers: None, close=lambda: 0, unsubscribe=lambda: None,
+    spec=None, receives=True, failure="", numbers=PublicationNumbers(float), is_unmatched=False, awaits_match=False,
+    refuses=False, tick=lambda publishers: None, close=lambda: 0, unsubscribe=lambda: None,
 )  # fmt: skip
 """One that works."""
 
