@@ -375,6 +375,7 @@ def test_line_that_was_typed_ahead_answers_no_question(monkeypatch: pytest.Monke
     ours, theirs = pty.openpty()
     with open(theirs) as terminal:  # noqa: PTH123 -- a descriptor
         surroundings.set_stdin(monkeypatch, terminal)
+        surroundings.print_to_terminal(monkeypatch)
         os.write(ours, b"y\n")
         assert select.select([terminal], [], [], 60.0)[0]
         replaced.TARGET_PRINT_LINE.set(monkeypatch, lambda _: os.write(ours, b"n\n"))

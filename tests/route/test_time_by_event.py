@@ -49,7 +49,7 @@ _SEEDS = range(1, 13)
 
 _SUBSCRIPTION: Any = SimpleNamespace(
     spec=None, receives=True, failure="", numbers=PublicationNumbers(float), is_unmatched=False, awaits_match=False,
-    tick=lambda _: None, close=lambda: 0, unsubscribe=lambda: None,
+    refuses=False, tick=lambda _: None, close=lambda: 0, unsubscribe=lambda: None,
 )  # fmt: skip
 """One that works."""
 

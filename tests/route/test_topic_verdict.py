@@ -65,7 +65,7 @@ DATA_OUT, PIPE = Reason(OUT, EndCode.TIMED_OUT), Reason("Broken pipe", EndCode.B
 DENIED, STUCK = Reason("denied"), Verdict(State.DOWN, Cause.NO_PATH, "stuck")
 MAPPER, ODD = endpoint("/map", LATCHED), endpoint("/odd", type_name=INT)
 NOBODYS, HEARD = endpoint("", type_name=INT), Audience(1, ("/rviz",))
-KEYED = TALKER._replace(gid=bytes(15) + b"\x07")
+KEYED = TALKER._replace(gid=b"\x01\x0f" + bytes(13) + b"\x07")
 CAMERA: dict[str, Any] = {
     "endpoints": [endpoint("/camera", BEST_EFFORT, IMAGE)], "type_name": IMAGE, "qos": BEST_EFFORT,
 }  # fmt: skip
