@@ -131,11 +131,12 @@ class Node:
         origin: Hashable,
         on_failure: OnFailure | None = None,
         numbers: PublicationNumbers | None = None,
-        **_: object,
+        *,
+        express: bool = False,
     ) -> Reader:
         self._check_type(spec.type_name, spec.type_hash)
         reader = Reader(self._domain, self._name, *spec, self._taking(sink), origin, on_failure, numbers)
-        reader.stalled = self._stalled
+        reader.stalled, reader.in_turns = self._stalled, not express
         _keep(self.readers, reader)
         if self.on_reader is not None:
             self.on_reader(reader, origin)

@@ -31,7 +31,7 @@ _WAITS = 0.1
 """s that a server waits until it knows the client that it answers: rmw_fastrtps does."""
 _BATCH = 64
 _APART = 0.002
-"""s between the turns in which all ends take, so that a turn brings something of several topics."""
+"""s between the turns of what is not express, so that a turn brings something of several topics."""
 _OF_NOBODY = contextvars.Context()
 _GID = 16
 
@@ -102,6 +102,7 @@ class Taker(Generic[T]):
 
     Attributes:
         stalled: whether the taking thread is stopped; what arrives is kept as usual.
+        in_turns: whether it takes when others do.
     """
 
     def __init__(
@@ -121,7 +122,7 @@ class Taker(Generic[T]):
         self.type_hash = type_hash
         self.seen_qos = SEEN
         self.closed = False
-        self.stalled = False
+        self.stalled = self.in_turns = False
         self._domain = domain
         self._sink = sink
         self._on_failure = on_failure
@@ -138,8 +139,9 @@ class Taker(Generic[T]):
             self._draining = True
             domain = self._domain
             due = domain.loop.time() + domain.random.uniform(*domain.taking)
-            turn = (math.ceil(due / _APART) + 0.5) * _APART  # no round time, at which checks look at all
-            domain.loop.call_at(turn, self._drain, context=self._context)
+            if self.in_turns:
+                due = (math.ceil(due / _APART) + 0.5) * _APART  # no round time, at which checks look at all
+            domain.loop.call_at(due, self._drain, context=self._context)
 
     def _drain(self) -> None:
         self._draining = False
