@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.codes import EventCode
     from rsb_bridge.model.commands import Command, Effect, Right
     from rsb_bridge.model.finding import Check, Finding, Grade
-    from rsb_bridge.model.limits import TEXT_LENGTH, Range
+    from rsb_bridge.model.limits import SAFE_DOMAIN, TEXT_LENGTH, Range
     from rsb_bridge.model.names import file_stem, other_side
     from rsb_bridge.model.purposes import Purpose
     from rsb_bridge.model.qos import Qos
@@ -76,7 +76,7 @@ _NAMES = {
     "rsb_bridge.model.codes": ("EventCode",),
     "rsb_bridge.model.commands": ("Command", "Effect", "Right"),
     "rsb_bridge.model.finding": ("Check", "Finding", "Grade"),
-    "rsb_bridge.model.limits": ("TEXT_LENGTH", "Range"),
+    "rsb_bridge.model.limits": ("SAFE_DOMAIN", "TEXT_LENGTH", "Range"),
     "rsb_bridge.model.names": ("file_stem", "other_side"),
     "rsb_bridge.model.purposes": ("Purpose",),
     "rsb_bridge.model.qos": ("Qos",),

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.faults import PathFault
     from rsb_bridge.route.half import Facts, FactsT, Rules
-    from rsb_bridge.route.route import Route
 
 _LINK_STAGE, ACCEPTED = "link up", "peer accepted"
 """Names of stages."""
@@ -85,10 +84,10 @@ def explained(half: Facts, verdict: Verdict) -> Verdict:
     return replace(verdict, state=state, cause=cause, text=path.text)
 
 
-def stays_fine(route: Route, crossing: Crossing, now: float) -> bool:
+def stays_fine(half: Facts, crossing: Crossing, now: float) -> bool:
     """Whether no rule finds anything, if none has before and the route's signs are the same."""
-    peer = route.peer
-    return (
+    route, peer = half.route, half.route.peer
+    return bool(
         crossing is Crossing.YES
         and not (route.arming.required or route.losses.reasons or route.limit.rate)
         and peer.verdicts is None and peer.path.fault is None and route.link_full is None

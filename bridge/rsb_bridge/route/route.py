@@ -459,7 +459,7 @@ class Route:
             self.losses.tick(now, idle=connected and not self.half.facts.owing)
         fine = self._verdict is self._verdict_for_peer is self.judged.announced.verdict is FINE
         # Nearly each second of nearly each topic, and half the time of asking all rules.
-        fine = fine and self.idling.lasts(self._signs, now) and stays_fine(self, crossing, now)
+        fine = fine and self.idling.lasts(self._signs, now) and stays_fine(self.half.facts, crossing, now)
         if not fine:
             own, self._verdict_for_peer = self._judged(now, crossing)
             self._verdict = own

@@ -15,8 +15,7 @@ import time
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
-from rsb_bridge.feature_api import RawMessage, RosError, TopicSpec
-from rsb_bridge.model.limits import SAFE_DOMAIN
+from rsb_bridge.feature_api import SAFE_DOMAIN, RawMessage, RosError, TopicSpec
 from rsb_bridge.model.qos import PROFILES
 from rsb_bridge.ros.node import RosNode
 

@@ -12,8 +12,8 @@ from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING
 
-from rsb_bridge.feature_api import Check, Finding, Grade, RosError, Wording
-from rsb_bridge.model.limits import DOMAIN, SAFE_DOMAIN, dds_ports
+from rsb_bridge.feature_api import SAFE_DOMAIN, Check, Finding, Grade, RosError, Wording
+from rsb_bridge.model.limits import DOMAIN, dds_ports
 from rsb_bridge.ros.discovery import RANGE, SERVERS, SUPER_CLIENT, Discovery, DiscoveryText, is_off
 from rsb_bridge.ros.distribution import (
     check_libraries,

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 from textual import on, work
 
-from rsb_bridge.feature_api import Effect, SessionError, Wording, typed_path
-from rsb_bridge.model.limits import SAFE_DOMAIN
+from rsb_bridge.feature_api import SAFE_DOMAIN, Effect, SessionError, Wording, typed_path
 from rsb_console.feature_console import DIALOG, ConfirmScreen, Field, FormScreen, Spec
 from rsb_console.operations.session_operations import may_run
 from rsb_console.screens.new_session import YES_NO, MissingField, at_field, number
