@@ -28,8 +28,8 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause, LinkCause
 from rsb_bridge.ros.publication_numbers import PublicationNumbers
+from rsb_bridge.route.blocking_rules import judge
 from rsb_bridge.route.receiver import Receiver
-from rsb_bridge.route.route import Route
 from rsb_bridge.route.sender import Sender
 from rsb_bridge.route.topic_facts import SenderFacts
 from rsb_bridge.wire.records import ReceivedReport, SentReport, VerdictRecord
@@ -241,7 +241,7 @@ def test_topic_that_flows_is_judged_only_when_something_changes(
     life.half.carried.endpoints = (TALKER,)
 
     def judged(seconds: int) -> int:
-        with patch.object(Route, "_judged", autospec=True, side_effect=Route._judged) as judging:
+        with patch("rsb_bridge.route.route.judge", side_effect=judge) as judging:
             for _ in range(seconds):
                 loop.jump(1.0)
                 life.half.flow.count(1, 100, loop.time())
