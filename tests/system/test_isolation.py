@@ -67,6 +67,20 @@ def delay(fast: Publisher, there: Listener, slow: Publisher | None = None) -> fl
     return found[len(found) // 2]
 
 
+def still(listener: Listener) -> int:
+    """Wait until what is on its way has come, for a second without a message; return how many have come."""
+    came, since = -1, time.monotonic()
+
+    def is_still() -> bool:
+        nonlocal came, since
+        if len(listener.payloads) != came:
+            came, since = len(listener.payloads), time.monotonic()
+        return time.monotonic() - since > 1.0
+
+    eventually(is_still)
+    return came
+
+
 @pytest.fixture
 def both(bridge: Bridge, relay: Relay, programs: Programs) -> tuple[Program, Program]:
     """A server and a client with a fast topic and a slow one."""
@@ -85,8 +99,8 @@ def test_a_topic_whose_stream_is_stuck(relay: Relay, robot: Domain, pc: Domain) 
     stuck = max(relay.connections, key=lambda connection: connection.sent_bytes)
     stuck.stall()
     assert delay(fast, there, slow) < usual + _NOTICED
+    heard = still(slow_there)
     assert delay(fast, there, slow) < usual + _HELD_UP
-    heard = len(slow_there.payloads)
     holds(lambda: len(slow_there.payloads) == heard, 0.2)
     stuck.stall(False)
     eventually(lambda: len(slow_there.payloads) > heard)
