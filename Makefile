@@ -84,8 +84,8 @@ soak fuzz: $(STAMP)
 	$(BIN)/python -m tests.$@ --seconds $(SECONDS)
 bench: $(STAMP)
 	$(BIN)/python -m bench.run
-# The C library of the first is built with cmake and read with libclang (apt install cmake libclang-dev).
-PEERS := zenoh_bridge dds_programs
+# The C library of the last is built with cmake and read with libclang (apt install cmake libclang-dev).
+PEERS := dds_programs zenoh_bridge
 peers:
 	@if command -v cargo > /dev/null; then \
 	  for each in $(PEERS); do cargo build --release --locked --manifest-path bench/peers/$$each/Cargo.toml || exit 1; done; \

@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import datetime
+import importlib.util
 import itertools
 import json
 import os
@@ -407,10 +408,14 @@ def _verdict(socket: Path, topic: str) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m bench.foreign_dds")
     parser.add_argument("--json", type=Path, default=FILE)
-    parser.add_argument("--parts", default=",".join(PARTS))
+    parser.add_argument(
+        "--parts", default=",".join(each for each in PARTS if each != "stock"), help=f"of {', '.join(PARTS)}"
+    )
     parser.add_argument("--cases", default=",".join(CASES))
     parser.add_argument("--ends", default=",".join(ENDS))
     options = parser.parse_args()
+    if unknown := {*options.parts.split(",")} - {*PARTS}:
+        parser.error(f"no part is called {', '.join(unknown)}")
     if _INSIDE not in os.environ:
         command = [sys.executable, "-m", "bench.foreign_dds", *sys.argv[1:]]
         inside = ["unshare", "--map-root-user", "--net", "--mount", "sh", "-ec", _NETWORK, "sh", *command]
@@ -430,6 +435,8 @@ def _missing(part: Part) -> str:
     """Return why a part cannot be run, or an empty string."""
     if part.program.startswith("with_") and not (PROGRAMS / part.program).exists():
         return "it is not built: run `make peers` (cargo)"
+    if part.program == "cyclone" and importlib.util.find_spec("cyclonedds") is None:
+        return "cyclonedds is not installed: pip install cyclonedds"
     if part.program == "other" and "OTHER_PYTHON" not in os.environ:
         return "OTHER_PYTHON does not name a Python with this distribution"
     if part.environ and shutil.which("fast-discovery-server") is None:

@@ -141,7 +141,7 @@ async def test_removal_of_armed_entry_asks_once_preselecting_no(
 ) -> None:
     engine.session = msgspec.structs.replace(engine.session, topics=engine.specs)
     await removed(pilot, "/cmd_vel")
-    await shown(pilot, "No longer arm /cmd_vel?")
+    await shown(pilot, "Drop the demand to arm /cmd_vel, too?")
     assert focus(app.screen) == "no"
     assert engine.commands == []
     await pilot.press("y")
@@ -155,7 +155,7 @@ async def test_removal_keeps_demand_without_agreement(
 ) -> None:
     engine.session = msgspec.structs.replace(engine.session, topics=engine.specs)
     await removed(pilot, "/cmd_vel")
-    await shown(pilot, "No longer arm /cmd_vel?")
+    await shown(pilot, "Drop the demand to arm /cmd_vel, too?")
     await pilot.press("escape")
     await until(pilot, lambda: engine.commands, "a removal")
     assert engine.commands == [("remove", "/cmd_vel")]

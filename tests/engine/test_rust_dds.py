@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import subprocess
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,28 +20,13 @@ if TYPE_CHECKING:
     from tests.support.bridge import Bridge
     from tests.support.domain import Domain
 
-_PROGRAM = Path(__file__).parents[1] / "support" / "rust_dds"
-_BUILDS_WITHIN = 1200.0  # s: some 200 crates, once
-
-
-@pytest.fixture(scope="module")
-def talker(pytestconfig: pytest.Config) -> Path:
-    """The program, which is built once."""
-    if shutil.which("cargo") is None:
-        pytest.skip("cargo is not installed: a program with RustDDS cannot be built")
-    assert pytestconfig.cache is not None
-    target = pytestconfig.cache.mkdir("rust_dds")
-    crates = ["--locked", "--manifest-path", str(_PROGRAM / "Cargo.toml")]
-    fetched = subprocess.run(["cargo", "fetch", *crates], capture_output=True, text=True, check=False)
-    if fetched.returncode:
-        pytest.skip(f"cargo cannot fetch RustDDS: {fetched.stderr.strip().splitlines()[-1]}")
-    subprocess.run(["cargo", "build", *crates, "--target-dir", target], check=True, timeout=_BUILDS_WITHIN)
-    return target / "debug" / "rust-dds-talker"
+PROGRAM = Path(__file__).parents[2] / "bench/peers/dds_programs/target/release/rust_dds_talker"
+pytestmark = pytest.mark.skipif(not PROGRAM.exists(), reason="not built: run `make peers`")
 
 
 @pytest.fixture
-def talks(talker: Path, robot: Domain) -> Iterator[None]:
-    with subprocess.Popen([talker, str(robot.id), "/numbers"]) as program:
+def talks(robot: Domain) -> Iterator[None]:
+    with subprocess.Popen([PROGRAM, str(robot.id), "/numbers"]) as program:
         try:
             # Only a subscription that comes after the first message hears nothing.
             heard(robot.listener("/numbers", qos=qos_profile_sensor_data), 1)

@@ -59,8 +59,7 @@ def test_unfitting_bulk_is_dropped_and_delays_nothing(network: Network, robot: H
 def test_large_messages_take_their_time_over_zenoh(network: Network, robot: Host, pc: Host, cable: Cable) -> None:
     """One that Zenoh may drop, for more than a second, and one for which its sender waits, for more than 5 s.
 
-    A program of its own that puts such messages with Zenoh 1.10.2 loses the first, whose fragments may each wait for
-    50 ms, and with the second the connection.
+    Zenoh 1.10.2 alone loses the first, and its connection with the second.
     """
     pytest.importorskip("zenoh", reason="Zenoh is not installed")
     cable.slow("20mbit", queue="50ms")

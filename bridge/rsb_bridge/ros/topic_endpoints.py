@@ -192,7 +192,7 @@ class Writer:
         self.told = gid_of(handle.address)
         self.gid = cyclone_dds.guid_of_publisher(handle.address) if cyclone_dds.is_used() else self.told
         self._handle = handle
-        # From Kilted on, Fast DDS wants the key of each message; rmw_fastrtps (9.3.3) finds none in serialized ones.
+        # From Kilted on, Fast DDS wants the key of each message, which rclpy's typed publishing gives it.
         self._publish = partial(_publish_typed, handle, interface) if has_key(self.gid) else handle.rclpy.publish_raw
         self._large = math.inf if has_key(self.gid) else _LARGE
         self._closed = self._freed = False

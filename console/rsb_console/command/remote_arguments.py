@@ -28,7 +28,8 @@ class AddCommand(Protocol):
 
 
 NO_BRIDGE = """\
-  2  wrong usage: bad arguments, no such topic, or several bridges and no --bridge
+  2  wrong usage: bad arguments, no such topic, several bridges and no --bridge,
+     or a question that nobody is there to answer
   3  no such bridge runs, or it cannot be reached"""
 EXIT = f"""\
 exit codes:

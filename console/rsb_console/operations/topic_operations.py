@@ -48,6 +48,11 @@ class OperationText(Wording):
     AFTER_ALL = "{topic}: done after its form was left (u undoes it)"
 
 
+_WITHOUT_DEMAND = (
+    "It is removed either way. Without the demand, an entry of this name that comes later crosses without being armed."
+)
+
+
 def _removal(route: Row) -> str:
     if isinstance(route, PatternRow):
         return f"All that it has brought ({route.routes}) stop crossing at once"
@@ -221,7 +226,10 @@ async def remove_topic(screen: MainScreen) -> None:
     question = ConfirmScreen(f"Remove {route.topic}?", message, "Remove", Effect.LOSES)
     if not await console.ask(question):
         return
-    drops = has_demand and await console.ask(ConfirmScreen(*_dropping(route), "Drop", Effect.MOVES)) is True
+    drops = False
+    if has_demand:
+        title = f"Drop the demand to arm {route.topic}, too?"
+        drops = await console.ask(ConfirmScreen(title, _WITHOUT_DEMAND, "Drop", Effect.MOVES)) is True
     now, since = console.snapshot(), _last_event(engine)
     patterns = tuple((row.key, row.spec) for row in patterns_of(now, route.link, route.spec))
     route = find_entry(now, route.key) or route  # as it was when the operator agreed

@@ -32,10 +32,8 @@ if TYPE_CHECKING:
 
 _SELF_TEST = (sys.executable, "-P", "-m", "rsb_bridge.ros.self_test")
 _CONFIG = "fastdds-large-messages.xml"
-_LARGE_PROFILE = next(
-    (each for each in (Path(sys.prefix, "share/rsb_console/configs", _CONFIG),) if each.exists()),
-    Path("configs", _CONFIG),
-)
+_INSTALLED = Path(sys.prefix, "share/rsb_console/configs", _CONFIG)
+_LARGE_PROFILE = _INSTALLED if _INSTALLED.exists() else f"…/{_CONFIG}"
 _WITHIN = 20.0
 """s for the self-test: to import ROS takes 1 s, on a small computer several."""
 _RANGES = {
@@ -71,6 +69,7 @@ class RosText(Wording):
     SERVER_REMEDY = "fast-discovery-server -i {place} -p {port}, on the machine {host}; or correct ROS_DISCOVERY_SERVER"
     LARGE = "{arrived} of {sent} best-effort messages of {size:g} MB arrived in another process of this machine"
     LARGE_LOST = "{found}: Fast DDS loses those above 64 kB"
+    LARGE_NOT_MEASURED = "not measured: {problem}"
     LARGE_REMEDY = "export {variable}={file}  # for the bridge, and for all nodes with such messages"
     NOT_DISCOVERED = "two processes of this machine did not discover each other"
     KEYS = "keystore {keystore}, enclave {enclave}"
@@ -237,11 +236,14 @@ def _large_messages(environ: Mapping[str, str], large_test: Sequence[str]) -> It
         return
     surroundings = large_messages.surroundings(environ)
     ran = subprocess.run(large_test, capture_output=True, text=True, timeout=2 * _WITHIN, check=False, env=surroundings)  # noqa: S603 -- own program
+    finding = partial(Finding, "large_messages", subject="large messages")
     if ran.returncode or not ran.stdout:
-        return  # the check of ROS says why
+        problem = (ran.stderr.splitlines() or ["no result"])[-1]
+        yield finding(grade=Grade.UNKNOWN, text=RosText.LARGE_NOT_MEASURED(problem=problem))
+        return
     # The last line only: Fast DDS writes its faults to standard output, too.
     facts = json.loads(ran.stdout.splitlines()[-1])
-    finding = partial(Finding, "large_messages", subject="large messages", facts=facts | {"size": large_messages.SIZE})
+    finding = partial(finding, facts=facts | {"size": large_messages.SIZE})
     text = RosText.LARGE(arrived=facts["arrived"], sent=facts["sent"], size=large_messages.SIZE / 1e6)
     if facts["arrived"] < facts["sent"]:
         remedy = RosText.LARGE_REMEDY(variable=profile_variable(environ), file=_LARGE_PROFILE)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -15,8 +16,10 @@ PROGRAM = ROOT / "bench/peers/dds_programs/target/release/with_rustdds"
 
 def ran(tmp_path: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     """Run the bed in a network of its own."""
+    if shutil.which("ip") is None:
+        pytest.skip("iproute2 is not installed")
     command = (sys.executable, "-m", "bench.foreign_dds", "--json", str(tmp_path / "found.json"), *arguments)
-    ended = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300, check=False)
+    ended = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=900, check=False)
     if "unshare:" in ended.stderr or "mount:" in ended.stderr:
         pytest.skip(f"no namespace of its own here: {ended.stderr}")
     return ended

@@ -1,4 +1,4 @@
-//! `rust-dds-talker DOMAIN TOPIC` writes numbers as std_msgs/String, 20 a second, until it is killed.
+//! `rust_dds_talker DOMAIN TOPIC` writes numbers as std_msgs/String, 20 a second, until it is killed.
 //!
 //! Its writer has no policy, so RustDDS announces it as reliable, and repeats nothing.
 
