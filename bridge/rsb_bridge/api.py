@@ -103,9 +103,10 @@ class EngineApi(ABC):
         """Return the state of everything at one moment, recent and immutable."""
 
     def recorded(self) -> Snapshot:
-        """Return the newest state that is there without asking for one: states are up to date, figures may be older.
+        """Return the newest state that is there, without asking for one.
 
-        It is renewed once a second as long as the engine works.
+        States are up to date, figures and what features show may be older. It is renewed once a second as long as the
+        engine works.
         """
         return self.snapshot()
 

@@ -28,14 +28,14 @@ def _late_to_notice(monkeypatch: pytest.MonkeyPatch) -> None:
     STREAM_STALLED_AFTER.set(monkeypatch, 60.0)
 
 
-@pytest.mark.parametrize("resends", [True, False])
+@pytest.mark.parametrize("sends_again", [True, False])
 @pytest.mark.parametrize("cut_by", [0, 1])
 @pytest.mark.parametrize(("name", "size"), [("small", 2_000), ("large", LARGE), ("large", 1 << 20)])
-async def test_route_resumes_in_order(name: str, size: int, cut_by: int, resends: bool) -> None:
+async def test_route_resumes_in_order(name: str, size: int, cut_by: int, sends_again: bool) -> None:
     """Three times, amid messages, and noticed by either side first. What is not sent again is counted."""
     async with connected(Route(1, outgoing=True), Route(2, outgoing=True)) as sides:
         near, far = sides
-        near.routes[1].fates = RELIABLE if resends else BEST_EFFORT
+        near.routes[1].fates = RELIABLE if sends_again else BEST_EFFORT
         numbers, others = Numbers(near, 1, size), Numbers(near, 2, 100)
         for _ in range(3):
             numbers.send(40)
@@ -54,7 +54,7 @@ async def test_route_resumes_in_order(name: str, size: int, cut_by: int, resends
                 assert each.arrived == sorted(set(each.arrived))
                 assert each.counted == each.sent
         assert len(others.arrived) == others.sent
-        assert len(numbers.arrived) == numbers.sent or not resends
+        assert len(numbers.arrived) == numbers.sent or not sends_again
         assert not any(route.lost for side in sides for route in side.routes.values())
         assert near.reopened == 3
         assert far.keys.budget.held == 0

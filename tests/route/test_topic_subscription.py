@@ -242,6 +242,25 @@ def test_publisher_that_is_reliable_in_name_only(
     subscription.close()
 
 
+@pytest.mark.parametrize("latched", [False, True])
+def test_silent_publisher_is_not_asked_about_for_ever(
+    latched: bool, loop: VirtualLoop, make_context: Callable[..., Context]
+) -> None:
+    """A busy one beside it would come twice; and a latched topic's history comes to reliable subscriptions only."""
+    ros, owner = FakeRos(), Owner()
+    qos = Qos(durability="transient_local") if latched else Qos()
+    subscription = make_subscription(make_context(ros), owner, qos, automatic=not latched)
+    silent = Endpoint("/standby", STRING, "", qos, b"\x01\x01".ljust(16, b"\1"))
+    asked = 0
+    for _ in range(600):
+        subscription.tick([silent])
+        asked += any(not each.closed and each.qos.reliability == "best_effort" for each in ros.made)
+        loop.run_until_complete(asyncio.sleep(1))
+    assert asked == 0 if latched else 30 <= asked <= 65
+    assert owner.events == []
+    subscription.close()
+
+
 def test_dds_is_asked_anew_who_is_alive(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
     """A subscription that missed an assertion while it was made calls its publisher not alive for ever."""
     ros = FakeRos()

@@ -122,7 +122,7 @@ class Invariants:
             for route in link.routes.values():
                 if not (isinstance(route.half, Receiver) and isinstance(route.half.carried.channel, StreamReceiver)):
                     continue
-                if route.fates[Lost.STREAM] is not Fate.WAITS and (lost := route.half.carried.channel.counts().lost):
+                if route.fates[Lost.STREAM] is Fate.SENDS_AGAIN and (lost := route.half.carried.channel.counts().lost):
                     self._world.wrong(f"{run.host.name}: {route.key} lost {lost} messages with a stream")
 
     # --- links

@@ -384,7 +384,7 @@ class Engine(EngineApi):
                 runner.run(self._main(ros, domain, keys, started))
         except Exception as error:
             _logger.exception("internal error of the engine")
-            message = f"internal error, please report it: {error}"
+            message = Unable.INTERNAL(problem=error)
             self.log.add(Level.ERROR, EventCode.ENGINE_ERROR, message)
             # `start` waits for this without a limit.
             if not started.done():

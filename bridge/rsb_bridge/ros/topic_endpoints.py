@@ -6,7 +6,6 @@ rclpy hides the publisher of a message taken, so rcl is called for it.
 from __future__ import annotations
 
 import ctypes
-import math
 import threading
 import time
 from contextlib import suppress
@@ -193,8 +192,8 @@ class Writer:
         self.gid = cyclone_dds.guid_of_publisher(handle.address) if cyclone_dds.is_used() else self.told
         self._handle = handle
         # From Kilted on, Fast DDS wants the key of each message, which rclpy's typed publishing gives it.
-        self._publish = partial(_publish_typed, handle, interface) if has_key(self.gid) else handle.rclpy.publish_raw
-        self._large = math.inf if has_key(self.gid) else _LARGE
+        self._is_keyed = has_key(self.gid)
+        self._publish = partial(_publish_typed, handle, interface) if self._is_keyed else handle.rclpy.publish_raw
         self._closed = self._freed = False
         self._using = threading.Lock()
 
@@ -207,7 +206,7 @@ class Writer:
         if len(payload) < 4:
             raise RosError(f"{self.topic}: {RosProblem.MESSAGE_TOO_SHORT(length=len(payload))}")
         try:
-            if len(payload) < self._large:
+            if len(payload) < _LARGE:
                 self._publish(payload)
             elif len(payload) < _LONG:
                 self._publish_in_place(publish_message, payload)
@@ -225,7 +224,10 @@ class Writer:
             raise RosError(f"{self.topic}: {reason}") from error
 
     def _publish_in_place(self, publish: Callable[..., int], payload: bytes) -> None:
-        """Publish without rclpy, which would copy the payload."""
+        """Publish without rclpy, which would copy the payload; but one with a key as others."""
+        if self._is_keyed:
+            self._publish(payload)
+            return
         message = Serialized(address_of(payload), len(payload), len(payload))
         code = publish(self._handle.rclpy.pointer, ctypes.byref(message), None)
         if code:

@@ -33,6 +33,7 @@ _BETWEEN_LOSSES = frozenset(
         (State.OK, Cause.SEVERAL_PUBLISHERS),
         (State.WAITING, Cause.NO_MESSAGE),
         (State.WAITING, Cause.PUBLISHER_SILENT),
+        (State.WAITING, Cause.PUBLISHER_UNHEARD),
     }
 )
 """Verdicts on a route that has recovered for a moment, or opens again."""
@@ -65,7 +66,8 @@ def _worst(half: Facts, found: Sequence[Verdict]) -> Verdict:
     worst = explained(half, min(found, key=lambda verdict: verdict.state.rank))
     if worst.cause not in _SILENCE:
         return worst
-    explanation = next((each for each in found if each.cause in _EXPLAINS_SILENCE), None)
+    faults = (each for each in found if each.state is not State.OK)  # a note explains nothing
+    explanation = next((each for each in faults if each.cause in _EXPLAINS_SILENCE), None)
     return worst if explanation is None else replace(explanation, state=worst.state)
 
 

@@ -67,7 +67,7 @@ class DeafText(Wording):
 class UnmatchedText(Wording):
     """Reasons why DDS does not match an endpoint whose type's name and QoS fit, with the remedy."""
 
-    KEY = "its type has a key (@key) and the bridge's has none: install its package here, or use a type without"
+    KEY = "its type has a key (@key), which the bridge's may lack: install its package here, or use a type without"
     REFUSED = "its data representation or its ownership differs: set XCDR1 and shared ownership"
     OTHER = "its partition, security or type definition differs: set them as in ROS nodes"
 
@@ -205,6 +205,11 @@ class Listeners:
         return since is not None and self._route.context.now() > since + _MATCHED_WITHIN
 
     @property
+    def lacks_match(self) -> bool:
+        """Whether DDS lists subscriptions and matched none at the last look."""
+        return self._unmatched_since is not None
+
+    @property
     def awaits_name(self) -> bool:
         """Whether a subscription has no node's name yet, and may still get one."""
         return any(not self.is_nameless(gid) for gid in self._nameless)
@@ -235,11 +240,8 @@ class Listeners:
             self.published = PublishedAs(found)
             return
 
-        def found_another() -> None:
-            self._look_for(type_name)
-            route.judge_again()
-
-        near = route.context.similar_topics.of(Sought(route.remote_topic, type_name), found_another)
+        # Its next tick looks again, if nobody there has begun to publish it meanwhile.
+        near = route.context.similar_topics.of(Sought(route.remote_topic, type_name), route.judge_again)
         found = self._nodes_that_publish(near, type_name) if is_mistyped(route.remote_topic, near) else ()
         self.published = PublishedAs(found, near if found else "")
 

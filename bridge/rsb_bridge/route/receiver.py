@@ -318,8 +318,9 @@ class Receiver:
     def _is_polled(self) -> bool:
         # Histories of publishers that have gone are dropped, nodes are asked for the description of a type, a similar
         # topic may appear, and a subscription may get no name.
-        asks_for_type = bool(self.carried.type_name) and self.check.checker is None
-        return self.flow.is_latched or asks_for_type or self.facts.is_unpublished or self.listeners.awaits_name
+        asks_for_type, listeners = bool(self.carried.type_name) and self.check.checker is None, self.listeners
+        awaits = listeners.awaits_name or listeners.lacks_match
+        return self.flow.is_latched or asks_for_type or self.facts.is_unpublished or awaits
 
     def is_well(self, now: float) -> bool:
         return self.flow.is_well(now) and not self.listeners.unmatched
@@ -327,6 +328,8 @@ class Receiver:
     def act(self, now: float, crossing: Crossing) -> None:
         self.flow.act(now, awaited=crossing.flows)
         self.outputs.tick()
+        if self.listeners.lacks_match:  # DDS may match them later, which changes nothing in the graph
+            self.listeners.look()
         if self.facts.is_unpublished:
             self._look_for_publishers()
         if self.route.purpose.in_graph:  # else no node knows the type

@@ -77,6 +77,7 @@ class Resolver:
         self._route, self._context, self._proposal = route, route.context, route.proposal
         self._used = TypeVersion()
         self._publishers: Sequence[Endpoint] = ()
+        self._keyed = False  # by the last publishers
         self._nodes: frozenset[str] = frozenset()  # of the last publishers
         self._moved = "", 0.0  # the topic that these publish now, and s since the epoch when that was first seen
 
@@ -120,8 +121,9 @@ class Resolver:
             qos = msgspec.structs.replace(qos, depth=0)
         if not name or qos is None:
             raise UnresolvedError("", cause=Cause.NO_PUBLISHER)
-        keyed = any(each.has_key for each in publishers if each.type_name == name)
-        return Resolved(name, type_hash, qos, warning, keyed)
+        if publishers:
+            self._keyed = any(each.has_key for each in publishers if each.type_name == name)
+        return Resolved(name, type_hash, qos, warning, self._keyed)
 
     def why(self) -> str:
         """Return the reason why type or QoS is unknown, or an empty string."""

@@ -130,7 +130,7 @@ class Route:
         closed_ids: ids of its last openings on the present connection, the oldest first.
         weight: of its share of the link.
         idle: whether it needs no tick now, as nothing has happened: then it is neither reported nor shown again.
-        only_counts: whether nothing but figures may differ from its last snapshot.
+        only_counts: whether nothing but figures, and what features show, may differ from its last snapshot.
         rested: callbacks; when the route wakes, each gets the time (s) until which nothing came.
         half: carries its messages or calls on this side.
     """
@@ -474,7 +474,8 @@ class Route:
         # Last, so that the signs contain all that the tick has changed; else the next one, which comes in a second.
         signs = self.idling.signs if fine and passed != self.idling.passed else self._signs()
         self.idling.ticked(signs, passed, now, lambda: self._next_change(now, crossing))
-        self.only_counts = self.only_counts and self.idling.signs is self._shown_signs
+        # Of one that rests from now on, the last figures are shown.
+        self.only_counts = self.only_counts and self.idling.signs is self._shown_signs and self.idling.until <= now
 
     @property
     def link_full(self) -> Fullness | None:

@@ -35,6 +35,7 @@ _EXPLAINS = frozenset(
         Cause.AWAITS_LINK,
         Cause.SUBSCRIBE_FAILED,
         Cause.QOS_INCOMPATIBLE,
+        Cause.UNMATCHED,
         Cause.TYPE_CONFLICT,
         Cause.TYPE_UNKNOWN,
         Cause.NO_PUBLISHER,

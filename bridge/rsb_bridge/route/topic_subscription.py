@@ -40,6 +40,8 @@ _ASKED_ANEW = 10.0, 60.0  # s: most until DDS is first asked again who is alive,
 _SHALLOW = 8  # messages that are kept: fewer could be overwritten before a turn that waits (`ros.turn_pacing`)
 _UNHEARD_FOR, _UNHEARD_BESIDES = 5.0, 2.0
 """s for which a publisher is not heard until a further subscription listens, and after that has heard it."""
+_ASKS_FOR, _ASKS_AGAIN = 30.0, 300.0
+"""s for which a further subscription listens, and after which it does again. Round figures."""
 _BEST_EFFORT = "subscribed as best_effort, which hears it; what is lost stays lost"
 _MATCHED_WITHIN = 2  # ticks: DDS matches a publisher that it lists within milliseconds
 
@@ -382,6 +384,7 @@ class _Reliability:
         self._route = route
         self._changed = changed
         self._unheard_since: dict[bytes, float] = {}  # s, by publisher
+        self._asks_at, self._asks_until = float("-inf"), 0.0  # s, of a further subscription
         self._besides: Subscription | None = None
         self._heard_besides: dict[bytes, float] = {}  # s, when the further subscription first heard a publisher
         self._found = b""
@@ -402,13 +405,23 @@ class _Reliability:
                 self._found = b""
                 self._changed()
             return
-        unheard = {*doubtful} - {*heard} if spec.qos.reliability == "reliable" else set()
+        # The history of a latched topic comes to reliable subscriptions only.
+        can_lack = spec.qos.reliability == "reliable" and not spec.qos.latched
+        unheard = {*doubtful} - {*heard} if can_lack else set()
+        if unheard - {*self._unheard_since}:
+            self._asks_at = float("-inf")
         self._unheard_since = {gid: self._unheard_since.get(gid, now) for gid in unheard}
         if not any(now - since >= _UNHEARD_FOR for since in self._unheard_since.values()):
             self.ask_no_further()
             return
         if self._besides is None:
+            if now < self._asks_at:
+                return
+            self._asks_until = now + _ASKS_FOR
             self._ask(spec)
+        elif now >= self._asks_until:  # one that is silent; of the others, all comes twice meanwhile
+            self._asks_at = now + _ASKS_AGAIN
+            self.ask_no_further()
         for gid in unheard:
             if now - self._heard_besides.get(gid, now) >= _UNHEARD_BESIDES:
                 self._found = gid

@@ -292,11 +292,16 @@ def _unsent(half: SenderFacts, crossing: Crossing) -> Verdict | None:
     verbs = NOTHING_SINCE_OPENED if half.came_before else PUBLISHED_NOTHING
     if half.flow.qos and not half.flow.qos.latched and all(each.qos.latched for each in half.carried.endpoints):
         verbs = LEFT_OUT_LATCHED  # they may well have published, before the subscription
-    elif _is_large(half) and all(each.qos.reliability == "best_effort" for each in half.carried.endpoints):
+    elif not half.came_before and _may_get_lost(half):
         remedy = _REMEDY_FOR_LARGE.format(variable=profile_variable(os.environ))
         text = f"{_plural(half.carried.endpoints, *MAY_BE_LOST)}: {remedy}"
         return Verdict(State.WAITING, Cause.PUBLISHER_UNHEARD, text)
     return Verdict(State.WAITING, Cause.PUBLISHER_SILENT, _plural(half.carried.endpoints, *verbs))
+
+
+def _may_get_lost(half: SenderFacts) -> bool:
+    """Whether DDS may lose all of its messages: they are large, and none is sent again."""
+    return all(each.qos.reliability == "best_effort" for each in half.carried.endpoints) and _is_large(half)
 
 
 def _is_large(half: SenderFacts) -> bool:

@@ -28,7 +28,12 @@ _DURATION = re.compile(r"\b\d+ (?:s|min|h)\b")
 """Durations, which differ a little between topics that failed together."""
 _KEEPS_HEIGHT = 10.0
 """Seconds for which a fault keeps its number of lines, as a figure with one more digit may wrap differently."""
-_SHOWN_WHILE_WAITING = (Cause.TYPE_UNKNOWN, Cause.SIMILAR_NAME, Cause.PUBLISHED_THERE)
+_SHOWN_WHILE_WAITING = (
+    Cause.TYPE_UNKNOWN,
+    Cause.SIMILAR_NAME,
+    Cause.PUBLISHED_THERE,
+    Cause.PUBLISHER_UNHEARD,
+)
 """Causes for which a waiting topic is shown here. One that merely has no publisher yet is not."""
 
 

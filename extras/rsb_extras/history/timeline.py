@@ -380,5 +380,5 @@ def _key_of(link: str) -> Key:
 def _is_open(route: RouteSnapshot) -> bool:
     """Whether messages or calls could cross, though none has since the route was opened."""
     if route.calls is None:
-        return route.cause == Cause.PUBLISHER_SILENT
+        return route.cause in (Cause.PUBLISHER_SILENT, Cause.PUBLISHER_UNHEARD)
     return any(stage.name == "offered" and stage.done for stage in route.stages)
