@@ -39,6 +39,7 @@ PRINTS = {
     "bench/measured_stream.py": "a child's pipe",
     "demo/router.py": "a child's pipe",
     "demo/simulated_part.py": "a child's pipe",
+    "doctor/large_messages.py": "a child's pipe",
     "fleet/robots.py": "a child's pipe",
     "pictures/confinement.py": "a trial's pipe",
     "pictures/look_command.py": "rows of pictures, cleaned by `decode_picture` and `clean`",

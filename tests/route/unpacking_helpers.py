@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 import zstandard
-from tests.support.virtual_time import T, Ts, VirtualLoop
+from tests.support.virtual_time import T, Ts, VirtualLoop, closed_in_the_end
 
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
@@ -115,6 +115,5 @@ class HeldLoop(VirtualLoop):
 
 @pytest.fixture
 def loop() -> Iterator[HeldLoop]:
-    loop = HeldLoop()
-    yield loop
-    loop.close()
+    with closed_in_the_end(HeldLoop()) as loop:
+        yield loop

@@ -13,6 +13,7 @@ from rsb_bridge.model.clock import Clock
 
 T = TypeVar("T")
 Ts = TypeVarTuple("Ts")
+L = TypeVar("L", bound="VirtualLoop")
 
 
 class VirtualLoop(asyncio.SelectorEventLoop):
@@ -95,7 +96,13 @@ def set_clock(clock: Clock, seconds: float) -> None:
 @contextlib.contextmanager
 def virtual_loop() -> Iterator[VirtualLoop]:
     """A loop for the length of a `with`; its tasks are cancelled at the end."""
-    loop = VirtualLoop()
+    with closed_in_the_end(VirtualLoop()) as loop:
+        yield loop
+
+
+@contextlib.contextmanager
+def closed_in_the_end(loop: L) -> Iterator[L]:
+    """Cancel a loop's tasks at the end of a `with`, and close it."""
     try:
         yield loop
     finally:
