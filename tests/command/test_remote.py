@@ -320,6 +320,14 @@ def test_removal_asks_only_about_demand_of_entry(ran: Any, engine: ScriptedEngin
     assert engine.commands == [("remove", "/scan")]
 
 
+def test_removal_asks_nothing_if_another_line_demands_arming_too(ran: Any, armed: ScriptedEngine) -> None:
+    """The bridge would refuse to end the demand."""
+    arming = ArmingSnapshot(armed=False, demanded_by=("robot.yaml:14", "robot.yaml:20"))
+    armed.now = replace(armed.now, routes=(replace(armed.now.routes[0], arming=arming),))
+    assert ran("remove", "/scan").code == 0
+    assert armed.commands == [("remove", "/scan")]
+
+
 def test_changes_say_that_they_are_not_saved(ran: Any, engine: ScriptedEngine, tmp_path: Path) -> None:
     saved, path = ran("pause", "/scan"), tmp_path / "nav2.yaml"
     assert "not saved" not in saved.out

@@ -30,7 +30,7 @@ from tests.support.long import long
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.commands import AddTopic, EditTopic
 from rsb_bridge.model.session import Topic
-from rsb_bridge.model.snapshot import Event, Level, PatternSnapshot, Snapshot, State
+from rsb_bridge.model.snapshot import ArmingSnapshot, Event, Level, PatternSnapshot, Snapshot, State
 from rsb_console.operations.topic_operations import OperationText
 from rsb_console.screens.dialog import ConfirmScreen, UndoScreen
 from rsb_console.session.changes import STEPS, Changes, Paused
@@ -157,6 +157,20 @@ async def test_removal_keeps_demand_without_agreement(
     await removed(pilot, "/cmd_vel")
     await shown(pilot, "Drop the demand to arm /cmd_vel, too?")
     await pilot.press("escape")
+    await until(pilot, lambda: engine.commands, "a removal")
+    assert engine.commands == [("remove", "/cmd_vel")]
+
+
+@on_scan(select="/cmd_vel")
+async def test_removal_asks_nothing_if_another_line_demands_arming_too(
+    app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]
+) -> None:
+    engine.session = msgspec.structs.replace(engine.session, topics=engine.specs)
+    demanded = ArmingSnapshot(armed=False, demanded_by=("robot.yaml:14", "robot.yaml:20"))
+    routes = [replace(each, arming=demanded) if each.topic == "/cmd_vel" else each for each in engine.now.routes]
+    engine.show(*routes)
+    app.pull()
+    await removed(pilot, "/cmd_vel")
     await until(pilot, lambda: engine.commands, "a removal")
     assert engine.commands == [("remove", "/cmd_vel")]
 

@@ -193,6 +193,11 @@ class ArmingSnapshot:
     asked_by: str = ""  # the operator who asks the holder for it, or empty
     goes_in: float | None = None  # s until it goes over to that operator without an answer, or None if nobody asks
 
+    @property
+    def is_demanded_twice(self) -> bool:
+        """Whether several lines demand it, so that an operator who ends one of them does not end the demand."""
+        return len(self.demanded_by) > 1
+
 
 @dataclass(frozen=True, slots=True)
 class Acknowledgement:

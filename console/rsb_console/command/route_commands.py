@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.config.session_changes import changes, described
 from rsb_bridge.model.link_budget import as_report, cost_of, describe_cost
-from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.snapshot import RouteSnapshot, State
 from rsb_bridge.model.wording import Wording
 from rsb_console.command.formatting import links_of, made_by, pattern_text, patterns_of, rate_text, route_of
 from rsb_console.command.target import (
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.control.remote_engine import RemoteEngine
     from rsb_bridge.model.session import Kind, Topic
-    from rsb_bridge.model.snapshot import PatternSnapshot, RouteSnapshot, TopicInfo
+    from rsb_bridge.model.snapshot import PatternSnapshot, TopicInfo
 
 _DIRECTIONS = ("transmit", "receive")  # as the client sees it
 _NOT_SAVED = "; not saved (rsb-console save)"
@@ -97,7 +97,9 @@ def remove_topic(arguments: Namespace) -> int:
     with attached(arguments) as engine:
         found, drops = chosen(engine, arguments), arguments.drop_arm
         entry = engine.session.entry(found.link, found.spec.identity)
-        if drops is None and entry is not None and entry.arm:
+        arming = found.arming if isinstance(found, RouteSnapshot) else None
+        can_end = entry is not None and entry.arm and not (arming is not None and arming.is_demanded_twice)
+        if drops is None and can_end:
             question = TopicCommandProblem.DROP(topic=arguments.topic)
             drops = agreed(question, "--drop-arm or --keep-arm", ask=not arguments.json)
         stays = result(engine.remove_topic(found.key, drop_arm=bool(drops)))

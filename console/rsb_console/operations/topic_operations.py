@@ -218,7 +218,7 @@ async def remove_topic(screen: MainScreen) -> None:
         return
     message = f"{_removal(route)}, on both sides of the link with {console.peer_of(route)}."
     entry = engine.session.entry(route.link, route.spec.identity)
-    has_demand = entry is not None and entry.arm
+    has_demand = entry is not None and entry.arm and not (route.arming is not None and route.arming.is_demanded_twice)
     if route.arming is not None and not has_demand:
         message += " Its name still has to be armed (armed in the session)."
     if route.pattern:
