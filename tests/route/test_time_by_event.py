@@ -234,21 +234,57 @@ def test_rule_without_its_time_and_event_without_its_wake_are_found(
         live_all()
 
 
+def judged(half: Any, loop: VirtualLoop, seconds: int) -> int:
+    """Return how often a half is judged that gets a message each second."""
+    with patch("rsb_bridge.route.route.judge", side_effect=judge) as judging:
+        for _ in range(seconds):
+            loop.jump(1.0)
+            half.flow.count(1, 100, loop.time())
+            half.route.tick()
+    return judging.call_count
+
+
 def test_topic_that_flows_is_judged_only_when_something_changes(
     loop: VirtualLoop, make_context: Callable[..., Context]
 ) -> None:
     life = Life(loop, make_context(), seed=1)
     life.half.carried.endpoints = (TALKER,)
-
-    def judged(seconds: int) -> int:
-        with patch("rsb_bridge.route.route.judge", side_effect=judge) as judging:
-            for _ in range(seconds):
-                loop.jump(1.0)
-                life.half.flow.count(1, 100, loop.time())
-                life.half.route.tick()
-        return judging.call_count
-
-    assert judged(30) < 20
-    assert judged(30) == 0
+    assert judged(life.half, loop, 30) < 20
+    assert judged(life.half, loop, 30) == 0
     life.peer.path.fault = PathFault(LinkCause.SILENT, "a fault of the path")
-    assert judged(5) == 5
+    assert judged(life.half, loop, 5) == 5
+
+
+NOT_WELL: list[tuple[type[Any], str, object]] = [
+    *[
+        (kind, name, value)
+        for kind in (Sending, Receiving)
+        for name, value in (("flow.lateness.since", 0.0), ("route.notices.undelivered", "it was refused"))
+    ],
+    (Sending, "backlog.exists", True),
+    (Sending, "health.slow.since", 0.0),
+    (Sending, "health.stop.since", 0.0),
+    (Sending, "carried.endpoints", (TALKER, TALKER)),
+    (Receiving, "listeners._unmatched_since", 0.0),
+]
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "value"), NOT_WELL, ids=[f"{kind.__name__}.{name}" for kind, name, _ in NOT_WELL]
+)
+def test_half_says_each_reason_for_which_it_is_not_well(
+    kind: type[Any], name: str, value: object, loop: VirtualLoop, make_context: Callable[..., Context]
+) -> None:
+    half = half_of(kind, make_context(), Topic("/scan", "transmit"), FakePeer())
+    half.route.open(1)
+    half.route.on_accepted()
+    half.carried.channel = Channel()
+    half.carried.endpoints = (TALKER,)
+    judged(half, loop, 60)
+    assert half.is_well(loop.time())
+    *path, last = name.split(".")
+    part = half
+    for each in path:
+        part = getattr(part, each)
+    with patch.object(part, last, value):
+        assert not half.is_well(loop.time())
