@@ -288,3 +288,23 @@ def test_half_says_each_reason_for_which_it_is_not_well(
         part = getattr(part, each)
     with patch.object(part, last, value):
         assert not half.is_well(loop.time())
+
+
+def test_route_that_comes_to_rest_has_to_be_shown_once_more(
+    loop: VirtualLoop, make_context: Callable[..., Context]
+) -> None:
+    """Its figures have changed last, and nobody renews those of an idle route."""
+    half = half_of(Sending, make_context(), Topic("/scan", "transmit"), FakePeer())
+    route = half.route
+    route.open(1)
+    route.on_accepted()
+    half.carried.channel, half.carried.endpoints = Channel(), (TALKER,)
+    judged(half, loop, 2)
+    while route.idling.until <= loop.time():
+        if was_shown := not route.only_counts:
+            route.snapshot()
+        loop.jump(1.0)
+        route.tick()
+    assert route.meter.rate == 0.0
+    assert not was_shown, "figures alone change at first"
+    assert not route.only_counts
