@@ -294,7 +294,7 @@ def test_route_that_comes_to_rest_has_to_be_shown_once_more(
     loop: VirtualLoop, make_context: Callable[..., Context]
 ) -> None:
     """Its figures have changed last, and nobody renews those of an idle route."""
-    half = half_of(Sending, make_context(), Topic("/scan", "transmit"), FakePeer())
+    half: Any = half_of(Sending, make_context(), Topic("/scan", "transmit"), FakePeer())
     route = half.route
     route.open(1)
     route.on_accepted()
