@@ -79,7 +79,11 @@ def test_two_different_entries_are_refused_with_lines(bridge: Bridge, robot: Dom
             eventually(lambda engine=engine, place=place: place in route(engine, "/chat").reason)
         shown = route(engine, "/chat")
         assert (shown.state, shown.cause) == (State.DOWN, Cause.LISTED_DIFFERENTLY)
-        assert [each.cause for each in now(engine).routes if each.topic != "/chat"] == [Cause.NO_PUBLISHER]
+        eventually(
+            lambda engine=engine: (
+                [each.cause for each in now(engine).routes if each.topic != "/chat"] == [Cause.NO_PUBLISHER]
+            )
+        )
     assert server.session.clients == clients
     assert client.session.topics == (Topic("/map", "transmit"), CHAT)
     client.remove_topic(route(client, "/chat").key).result(60)
