@@ -193,22 +193,17 @@ def _latched(speaker: Program, hearer: Program, topic: str) -> Run:
     return Run(in_place, 5, "" if marks == newest else " ".join(marks))
 
 
-def _deadline(speaker: Program, hearer: Program, topic: str) -> Run:
-    """Offer a message each 0.5 s to a reader that wants one each second, and stop."""
-    hearer.tell("read", topic, "deadline=1")
-    speaker.tell("write", topic, "deadline=0.5")
-    if not _opened(speaker, hearer, topic):
-        return Run(0, 1, _why(hearer, topic))
-    return _told(hearer, topic, "deadline")
+def _silence(asked: str, offered: str, event: str) -> Callable[[Program, Program, str], Run]:
+    """Publish with a policy to a reader that has one, too, and stop: an event has to tell of it."""
 
+    def measure(speaker: Program, hearer: Program, topic: str) -> Run:
+        hearer.tell("read", topic, asked)
+        speaker.tell("write", topic, offered)
+        if not _opened(speaker, hearer, topic):
+            return Run(0, 1, _why(hearer, topic))
+        return _told(hearer, topic, event)
 
-def _liveliness(speaker: Program, hearer: Program, topic: str) -> Run:
-    """Assert by messages alone, with a lease of 1 s, and stop."""
-    hearer.tell("read", topic, "lease=2")
-    speaker.tell("write", topic, "lease=1")
-    if not _opened(speaker, hearer, topic):
-        return Run(0, 1, _why(hearer, topic))
-    return _told(hearer, topic, "not_alive")
+    return measure
 
 
 def _told(hearer: Program, topic: str, event: str) -> Run:
@@ -312,8 +307,8 @@ CASES: Mapping[str, Callable[[Program, Program, str], Run]] = {
     "latched": _latched,
     "large": _series("", 10, 1_000_000, 0.5),
     "large_best_effort": _series("best_effort", 10, 1_000_000, 0.5),
-    "deadline": _deadline,
-    "liveliness": _liveliness,
+    "deadline": _silence("deadline=1", "deadline=0.5", "deadline"),
+    "liveliness": _silence("lease=2", "lease=1", "not_alive"),  # asserted by messages alone
     "lifespan": _lifespan,
     "enhanced": _calls("enhanced"),
     "basic": _calls("basic"),

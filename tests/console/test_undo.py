@@ -135,13 +135,18 @@ async def test_what_has_to_be_armed_comes_back_disarmed(
     assert not [command for command in engine.commands if command[0] == "arm"]
 
 
+async def asked_about_demand(pilot: Pilot[None], engine: ChangingEngine) -> None:
+    """Remove an entry that demands arming, up to the question about the demand."""
+    engine.session = msgspec.structs.replace(engine.session, topics=engine.specs)
+    await removed(pilot, "/cmd_vel")
+    await shown(pilot, "Drop the demand to arm /cmd_vel, too?")
+
+
 @on_scan(select="/cmd_vel")
 async def test_removal_of_armed_entry_asks_once_preselecting_no(
     app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]
 ) -> None:
-    engine.session = msgspec.structs.replace(engine.session, topics=engine.specs)
-    await removed(pilot, "/cmd_vel")
-    await shown(pilot, "Drop the demand to arm /cmd_vel, too?")
+    await asked_about_demand(pilot, engine)
     assert focus(app.screen) == "no"
     assert engine.commands == []
     await pilot.press("y")
@@ -153,9 +158,7 @@ async def test_removal_of_armed_entry_asks_once_preselecting_no(
 async def test_removal_keeps_demand_without_agreement(
     app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]
 ) -> None:
-    engine.session = msgspec.structs.replace(engine.session, topics=engine.specs)
-    await removed(pilot, "/cmd_vel")
-    await shown(pilot, "Drop the demand to arm /cmd_vel, too?")
+    await asked_about_demand(pilot, engine)
     await pilot.press("escape")
     await until(pilot, lambda: engine.commands, "a removal")
     assert engine.commands == [("remove", "/cmd_vel")]

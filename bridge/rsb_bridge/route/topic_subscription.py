@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 _LOOKS_EVERY = 1.0  # s, at most, between two looks at who is alive
 _ASKED_ANEW = 10.0, 60.0  # s: most until DDS is first asked again who is alive, least between later questions
 _SHALLOW = 8  # messages that are kept: fewer could be overwritten before a turn that waits (`ros.turn_pacing`)
-_UNHEARD_FOR, _UNHEARD_BESIDES = 5.0, 2.0
+_UNHEARD_FOR, _HEARD_FURTHER = 5.0, 2.0
 """s for which a publisher is not heard until a further subscription listens, and after that has heard it."""
 _ASKS_FOR, _ASKS_AGAIN = 30.0, 300.0
 """s for which a further subscription listens, and after which it does again. Round figures."""
@@ -295,6 +295,35 @@ class TopicSubscription:
         return self._subscribe_for(_Receiver(take), None)
 
 
+class _FurtherSubscription:
+    """A second subscription to a route's topic for a while, which shows what the first one cannot.
+
+    Attributes:
+        open: the subscription, or None.
+    """
+
+    def __init__(self, route: Route) -> None:
+        self._route = route
+        self.open: Subscription | None = None
+
+    def begin(self, spec: TopicSpec, sink: Callable[[Sequence[RawMessage]], None], **policies: str) -> None:
+        """Subscribe to the newest message, with some policies of its own, in place of the one before; DDS may refuse.
+
+        Args:
+            sink: as of `RosInterface.subscribe`.
+        """
+        self.end()
+        qos = msgspec.structs.replace(spec.qos, history="keep_last", depth=1, **policies)
+        with suppress(RosError):
+            self.open = self._route.ends.subscribe(spec._replace(qos=qos), sink, self._route.peer.name)
+
+    def end(self) -> None:
+        """Close it. May be called twice."""
+        if self.open is not None:
+            self.open.close()
+            self.open = None
+
+
 class _Liveliness:
     """Looks several times in a lease whether a publisher is alive.
 
@@ -327,7 +356,7 @@ class _Liveliness:
         self._looks_every = min(parts_of_lease(lease), _LOOKS_EVERY)
         self._asks_after = Backoff(min(lease, soonest), max(lease, latest))
         self._asks_at = loop.time() + self._asks_after.next()
-        self._further: Subscription | None = None
+        self._further = _FurtherSubscription(route)
         self._looks_again: asyncio.Handle = loop.call_soon(self._look)
 
     def _look(self) -> None:
@@ -340,31 +369,21 @@ class _Liveliness:
     def _is_alive(self, left_out: int) -> bool:
         alive, unjudged = self._first.liveliness
         if alive > left_out or not unjudged:
-            self._ask_no_further()
+            self._further.end()
             self._asks_after.reset()
             return alive > left_out
-        if self._further is not None:
-            alive, unjudged = self._further.liveliness
+        if self._further.open is not None:
+            alive, unjudged = self._further.open.liveliness
             if alive > left_out or not unjudged:
                 return alive > left_out
         if (now := self._loop.time()) >= self._asks_at:
             self._asks_at = now + self._asks_after.next()
-            self._ask_no_further()
-            qos = msgspec.structs.replace(self._spec.qos, history="keep_last", depth=1)
-            with suppress(RosError):
-                self._further = self._route.ends.subscribe(
-                    self._spec._replace(qos=qos), lambda _: None, self._route.peer.name
-                )
+            self._further.begin(self._spec, lambda _: None)
         return False
-
-    def _ask_no_further(self) -> None:
-        if self._further is not None:
-            self._further.close()
-            self._further = None
 
     def close(self) -> None:
         self._looks_again.cancel()
-        self._ask_no_further()
+        self._further.end()
 
 
 class _Reliability:
@@ -385,8 +404,8 @@ class _Reliability:
         self._changed = changed
         self._unheard_since: dict[bytes, float] = {}  # s, by publisher
         self._asks_at, self._asks_until = float("-inf"), 0.0  # s, of a further subscription
-        self._besides: Subscription | None = None
-        self._heard_besides: dict[bytes, float] = {}  # s, when the further subscription first heard a publisher
+        self._further = _FurtherSubscription(route)
+        self._heard_further: dict[bytes, float] = {}  # s, when the further subscription first heard a publisher
         self._found = b""
 
     def asked(self, qos: Qos) -> Qos:
@@ -414,7 +433,7 @@ class _Reliability:
         if not any(now - since >= _UNHEARD_FOR for since in self._unheard_since.values()):
             self.ask_no_further()
             return
-        if self._besides is None:
+        if self._further.open is None:
             if now < self._asks_at:
                 return
             self._asks_until = now + _ASKS_FOR
@@ -423,7 +442,7 @@ class _Reliability:
             self._asks_at = now + _ASKS_AGAIN
             self.ask_no_further()
         for gid in unheard:
-            if now - self._heard_besides.get(gid, now) >= _UNHEARD_BESIDES:
+            if now - self._heard_further.get(gid, now) >= _HEARD_FURTHER:
                 self._found = gid
                 self.ask_no_further()
                 text = f"{named([doubtful[gid].node])} repeats nothing, though it publishes as reliable: {_BEST_EFFORT}"
@@ -433,23 +452,18 @@ class _Reliability:
 
     def ask_no_further(self) -> None:
         """Close the further subscription. May be called twice."""
-        self._heard_besides = {}
-        if self._besides is not None:
-            self._besides.close()
-            self._besides = None
+        self._heard_further = {}
+        self._further.end()
 
     def _ask(self, spec: TopicSpec) -> None:
-        context, heard = self._route.context, self._heard_besides
+        context, heard = self._route.context, self._heard_further
 
         def hear(batch: Sequence[RawMessage]) -> None:
             for each in batch:
                 heard.setdefault(each.gid, context.loop.time())
             self._route.wake()  # an idle route is not looked at
 
-        qos = msgspec.structs.replace(spec.qos, reliability="best_effort", history="keep_last", depth=1)
-        sink = partial(context.ros_queue.put, _Receiver(hear))
-        with suppress(RosError):
-            self._besides = self._route.ends.subscribe(spec._replace(qos=qos), sink, self._route.peer.name)
+        self._further.begin(spec, partial(context.ros_queue.put, _Receiver(hear)), reliability="best_effort")
 
 
 class _Receiver:
