@@ -24,6 +24,7 @@ from rsb_bridge.model.names import node_of_hop
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
+from rsb_bridge.route.latched import LatchedTopic
 from rsb_bridge.route.receiver import Receiver
 from rsb_console.command.watching_commands import _carries
 
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.engine import Engine
     from rsb_bridge.model.snapshot import RouteSnapshot
+    from rsb_bridge.model.transports import Protocol
 
 
 def same_on_both_sides(robot: Domain, pc: Domain, topic: str, expected: list[bytes]) -> None:
@@ -152,9 +154,62 @@ def test_tf_static_of_many_nodes(count: int, bridge: Bridge, robot: Domain, pc: 
     same_on_both_sides(robot, pc, "/tf_static", kept)
 
 
+def depths_known(receiver: Engine) -> set[int]:
+    """The depths of the sending side's publishers, as far as the receiving side has been told."""
+    topics = [sink for each in halves(receiver, Receiver) for sink in outputs_of(each).sinks]
+    return {depth for topic in topics if isinstance(topic, LatchedTopic) for depth in topic._present.values()}
+
+
+def heard_in_order(pc: Domain, topic: str, expected: list[bytes], joiners: int) -> None:
+    """Late joiners of the far side hear just what is expected, in order, and from one publisher."""
+    eventually(lambda: len(pc.node.get_publishers_info_by_topic(topic)) == 1, what="one publisher")
+    for _ in range(joiners):
+        listener = pc.listener(topic, qos=JOINS_LATE)
+        eventually(lambda listener=listener: len(listener.payloads) >= len(expected), what=f"{len(expected)} heard")
+        assert list(map(bytes, listener.payloads)) == expected
+        pc.node.destroy_subscription(listener.subscription)
+
+
+@pytest.mark.parametrize("protocol", ["tcp", "udp"])
+@pytest.mark.parametrize("published_before", [0, *long(3)])
+def test_growing_history_is_heard_in_order(
+    published_before: int, protocol: Protocol, bridge: Bridge, relay: Relay, robot: Domain, pc: Domain
+) -> None:
+    """Its publisher keeps more than it has published: its messages have one publisher, and nobody hears any twice."""
+    out = robot.publisher("/path", qos=latched(10))
+    messages = publish(out, "pose", range(published_before))
+    server, client = bridge.both(Topic("/path", "transmit", protocol=protocol))
+    steady = pc.listener("/path", qos=JOINS_LATE)
+    eventually(lambda: out.get_subscription_count() == 1 and listeners(server, "/path") == 1)
+
+    def grow(joiners: int) -> None:
+        number = len(messages)
+        messages.extend(publish(out, "pose", range(number, number + 1)))
+        eventually(lambda: list(map(bytes, steady.payloads)) == messages, what="each message once")
+        heard_in_order(pc, "/path", messages, joiners)
+
+    for joiners in (0, 0, 0, 20):
+        grow(joiners)
+    again = connections(client) + 1
+    relay.cut()
+    eventually(lambda: connections(client) >= again and linked(client) and linked(server), what="linked again")
+    grow(3)
+    client = restart(bridge, client)
+    eventually(lambda: linked(client) and linked(server))
+    grow(3)
+    steady.payloads.clear()
+    server = restart(bridge, server)
+    eventually(lambda: list(map(bytes, steady.payloads)) == messages, what="the whole history by a new process")
+    heard_in_order(pc, "/path", messages, 20)
+    grow(3)
+
+
 @pytest.mark.parametrize("published_before", [3, *long(12, 0)])
 def test_a_deeper_history(published_before: int, bridge: Bridge, robot: Domain, pc: Domain) -> None:
-    """Five of 12 messages are kept, wherever the bridge starts; both sides always keep the same."""
+    """Five of 12 messages are kept, wherever the bridge starts; both sides keep the same.
+
+    While the sixth one to the tenth are the newest, the far side keeps more.
+    """
     out = robot.publisher("/path", qos=latched(5))
     messages = publish(out, "pose", range(published_before))
     server, client = bridge.both(Topic("/path", "transmit"))
@@ -166,8 +221,10 @@ def test_a_deeper_history(published_before: int, bridge: Bridge, robot: Domain, 
     for number in range(published_before, 12):
         messages += publish(out, "pose", range(number, number + 1))
         eventually(lambda newest=messages[-1]: steady.payloads and bytes(steady.payloads[-1]) == newest)
-        if number in (0, 4, 5, 6, 11):
+        if number in (0, 4, 11):
             same_on_both_sides(robot, pc, "/path", messages[-5:])
+        if number == 5:
+            eventually(lambda: depths_known(server) == {5}, what="the depth is known there")
     eventually(lambda: len(volatile.payloads) == 12 - published_before + heard_before)
     assert list(map(bytes, steady.payloads)) == messages[max(0, published_before - 5) :]
     client = restart(bridge, client)

@@ -5,10 +5,10 @@ it begins with message 6 and the newest is 10, the publisher keeps five. If it b
 keeps at least as many as have come. So a short-lived second subscription (a probe) shows the depth.
 
 A publisher that never pauses publishes while it is probed. Only what it published before the probe's first message came
-may be history, which shows its depth within few messages. No live message waits for that: each is sent with the most
-that its publisher may keep, and the peer drops what is too much as soon as it gets the depth. Only a history, the first
-0.3 s of a publisher, or a burst of more than 16 messages waits for a moment: with a known depth it costs the peer one
-publisher, which keeps no message too many.
+may be history, which shows its depth within few messages. Each message is sent with the most that its publisher may
+keep, so that the peer keeps a growing history in one publisher, whose order a late joiner gets. The peer cannot drop a
+part of that. So a second message waits until a probe shows that its publisher keeps more than one, as few do, but for
+0.3 s at most. So do a history that is sent again, and a burst of more than 16 messages.
 
 A killed publisher's history is withdrawn once a newcomer, or the first publisher of a new opening, has shown that it is
 silent. A late joiner on the far side may have heard it last, so the newest message of the other publishers is sent
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 # Where these were measured: bench/README.md, *Constants of latched topics*. The others are round figures.
 _SETTLES_AFTER = 0.1  # s without a message of a publisher: its history has come
 _HELD_FOR = 0.3  # s that messages wait for a probe; a publisher that has not been quiet for so long is busy
-_HELD = LATCHED_DEPTH  # messages of a publisher that wait; a longer burst is sent with the most that may be kept
+_HELD = LATCHED_DEPTH  # messages of a publisher that wait
 _WITHDRAWN_AFTER = 3.0  # s until the peer has closed a silent publisher's history: it looks once a second
 _ENDED_AFTER = 0.5  # s: the graph is looked at 1 s after its last change, and may have lost a publisher for a moment
 
@@ -89,7 +89,7 @@ class _Publisher:
     bounded: bool = False  # these come from an earlier opening, so that no message is held for better ones
     probe_at: int = 2  # the next probe begins at the message with this number
     tries: int = 0  # probes in a row that did not show the depth
-    released: bool = False  # messages are no longer held
+    released: bool = False  # its first messages have been held for as long as they may be
     held: deque[tuple[RawMessage, bool]] = field(default_factory=deque)  # each with whether it was replayed
     held_size: int = 0
     held_until: float = 0.0  # for a probe
@@ -105,10 +105,10 @@ class _Publisher:
         return self.at_least >= self.at_most or self.tries >= _MOST_TRIES
 
     def awaits_depth(self, number: int) -> bool:
-        """Whether the peer needs the depth for a message: it keeps the first few alone, and later ones together."""
-        if self.exact or self.bounded:
+        """Whether a message waits for the depth: the peer would keep it and the ones before together."""
+        if self.exact or self.bounded or (self.released and (self.is_busy or self.tries)):
             return False
-        return not self.released or (self.at_least < _PROBES_EACH_UNTIL < number - self.first + 1 and not self.is_busy)
+        return self.at_least == 1 or self.at_least < _PROBES_EACH_UNTIL < number - self.first + 1
 
     @property
     def is_busy(self) -> bool:
@@ -228,8 +228,7 @@ class Histories:
                 publisher.hold(message, now, replayed=replayed)
             else:
                 number = message.number or publisher.taken
-                depth = self._depth_of(publisher, message.number)
-                samples.append(self._sample(message, number, depth, replayed=replayed))
+                samples.append(self._sample(publisher, message, number, replayed=replayed))
         if samples:
             self._emit(samples)
         self._work()
@@ -313,22 +312,8 @@ class Histories:
             publisher.arrivals.append((message.number, now))
         return publisher
 
-    def _depth_of(self, publisher: _Publisher, number: int) -> int:
-        """Return the depth to emit a message with: the most that its publisher may keep.
-
-        Usually it is the number of messages so far, and the peer can drop each of a few alone. That takes the peer a
-        publisher for each, which has to be discovered. A busy publisher's messages would come faster than that, and
-        soon push out what is too much.
-        """
-        if self._depth:
-            return self._depth
-        if not number:
-            return AUTO_DEPTH
-        if publisher.exact or publisher.bounded or self._lifespan or publisher.is_busy:
-            return publisher.at_most  # with a lifespan the peer's publishers forget as quickly
-        return min(number - publisher.first + 1, publisher.at_most)
-
-    def _sample(self, message: RawMessage, number: int, depth: int, *, replayed: bool) -> Sample:
+    def _sample(self, publisher: _Publisher, message: RawMessage, number: int, *, replayed: bool) -> Sample:
+        depth = self._depth or (publisher.at_most if message.number else AUTO_DEPTH)
         return Sample(HistoryHeader(self._id(message.gid), number, depth), message, replayed)
 
     def _id(self, gid: bytes) -> bytes:
@@ -400,9 +385,7 @@ class Histories:
                 publisher.settled = now >= settles_at
                 due += [] if publisher.settled else [settles_at]
             if publisher.held:
-                # If message 1 is there, a probe finds no depth either. Few messages may cost a publisher each.
-                few = publisher.newest <= max(_PROBES_EACH_UNTIL, publisher.at_least)
-                if now >= releases_at or (publisher.settled and publisher.first == 1 and few):
+                if now >= releases_at or not publisher.awaits_depth(publisher.newest):
                     self._release(publisher)
                 else:
                     due.append(releases_at)
@@ -476,7 +459,7 @@ class Histories:
                 if newest - target <= _MEANWHILE:
                     publisher.at_most = min(publisher.at_most, kept - first + 1)
                 publisher.at_least = min(max(publisher.at_least, target - first + 1), publisher.at_most)
-        if publisher.exact:
+        if not publisher.awaits_depth(publisher.newest):
             self._release(publisher)
 
     def _may_have_expired(self, publisher: _Publisher, number: int) -> bool:
@@ -487,14 +470,9 @@ class Histories:
         return came is None or self._loop.time() - came > self._lifespan / 2
 
     def _release(self, publisher: _Publisher) -> None:
-        """Emit the held messages, and hold no more. Many have one depth, so that they cost the peer one publisher."""
-        publisher.released = True
+        """Emit the held messages."""
         held, publisher.held, publisher.held_size = publisher.held, deque(), 0
-        many = len(held) > _PROBES_EACH_UNTIL
-        samples = []
-        for message, replayed in held:
-            depth = self._depth_of(publisher, publisher.newest if many or publisher.exact else message.number)
-            samples.append(self._sample(message, message.number, depth, replayed=replayed))
+        samples = [self._sample(publisher, each, each.number, replayed=replayed) for each, replayed in held]
         if samples:
             self._emit(samples)
 

@@ -1,8 +1,10 @@
 """A latched topic on the receiving side: late joiners here get what late joiners on the sending side get.
 
-Every publisher of the sending side has publishers of its own here, which keep as many of its messages as it keeps
-itself. A DDS publisher's depth cannot change, and how much a publisher keeps may become known only as it publishes. So
-a history may be spread over several publishers here, each with some of its messages.
+Every publisher of the sending side has a publisher of its own here, which keeps as many of its messages as it keeps
+itself. Between two publishers DDS has no order, so a history that still grows has one, as deep as any. A DDS
+publisher's depth cannot change: once the history's own is found, another publisher takes the messages from then on, and
+the deep one stays until all that it has are too old. Meanwhile late joiners get more than is kept on the sending side,
+in the order of chance. Nothing is published again, as present subscribers would hear it twice.
 
 A present subscriber misses none of them: it may discover a publisher here seconds late, and until it has, DDS may
 overwrite the publisher's messages or close it. So messages wait meanwhile, and a publisher is closed once its messages
@@ -47,7 +49,6 @@ _LOOKS_AGAIN_AFTER = 0.02  # until DDS is asked again who has discovered what: a
 # at once they overran one that keeps 500. What is more than `_MANY` goes at once: they come to an end at any rate.
 _AT_ONCE, _GOES_ON_AFTER, _MANY = 100, 0.005, 5000
 
-_ALONE = 16  # messages of a growing history with a publisher each: the sender probes each for as many (`history_depth`)
 _GONE_AFTER = 10.0  # s without a word of a publisher, which a sender that has just started may not know yet
 
 
@@ -258,9 +259,8 @@ class LatchedTopic:
         history.seen_at = now
         number = header.number or history.newest + 1
         # A depth that the sender has found since also holds for messages that it sent before.
-        found = self._present.get(header.publisher, 0) or history.depth
-        depth = found or min(header.depth, LATCHED_DEPTH)
-        output = self._output_for(history, number, depth, is_found=depth == found)
+        depth = self._present.get(header.publisher, 0) or history.depth or min(header.depth, LATCHED_DEPTH)
+        output = self._output_for(history, depth)
         waits = self.is_busy or bool(history.waiting) or not self._is_next(history, output, now)
         # Only now, as a history without outputs would have the spare publisher closed, the topic's last one.
         self._histories[header.publisher] = history
@@ -282,33 +282,11 @@ class LatchedTopic:
         self._drop_older(history, number - depth)
         return True
 
-    def _output_for(self, history: _History, number: int, depth: int, *, is_found: bool) -> _OutputHistory:
-        """Return the output for the next message of a history, so that just the newest `depth` are kept.
-
-        Args:
-            is_found: whether that is the publisher's depth, so that one output may take all messages from now on.
-        """
-        outputs = history.outputs
-        if outputs and outputs[-1].depth == depth:
-            return outputs[-1]
-        filled = [output for output in outputs if output.kept]
-        needed = [output for output in filled if output.kept[-1][0] > number - depth]
-        oldest = min(filled, key=lambda output: output.kept[0][0], default=None)
-        count = sum(len(output.kept) for output in needed)
-        room = depth
-        if oldest is not None and oldest.full and sum(len(output.kept) for output in filled) == depth:
-            # The message that gives way is kept no longer on the sending side either. Where each message has an output,
-            # they also go one by one while another one takes all, and no message waits for that of another output.
-            if not is_found or len(filled) < depth:
-                return oldest
-        elif 0 < count < depth:
-            for output in needed:
-                if not output.full:
-                    return output
-            # At first each message gets a publisher; later each one doubles the history, so that a long one needs few.
-            room = max(depth - count, count if count >= _ALONE else 1)
-        outputs.append(self._output(room))
-        return outputs[-1]
+    def _output_for(self, history: _History, depth: int) -> _OutputHistory:
+        """Return the output for the next message of a history."""
+        if not history.outputs or history.outputs[-1].depth != depth:
+            history.outputs.append(self._output(depth))
+        return history.outputs[-1]
 
     def _drop_older(self, history: _History, number: int) -> None:
         """Drop the outputs of a history all of whose messages have that number or an older one."""

@@ -46,8 +46,8 @@ def bounded(qos: Qos) -> Qos:
         qos = msgspec.structs.replace(qos, liveliness="manual_by_topic")
     if not qos.latched:
         return msgspec.structs.replace(qos, depth=min(qos.depth, KEPT_DEPTH))
-    unknown = LATCHED_DEPTH if qos.lifespan else 1  # the sender begins with the same
-    depth = LATCHED_DEPTH if qos.history == "keep_all" else min(qos.depth or unknown, LATCHED_DEPTH)
+    # The sender begins with the same where the depth is unknown.
+    depth = LATCHED_DEPTH if qos.history == "keep_all" else min(qos.depth or LATCHED_DEPTH, LATCHED_DEPTH)
     return msgspec.structs.replace(qos, history="keep_last", depth=depth)
 
 
