@@ -11,7 +11,7 @@ from tests.route.missed_while_down_helpers import reopen
 from tests.support.offline import FakePeer
 from tests.support.virtual_time import set_clock
 
-from rsb_bridge.model.motion import LATEST
+from rsb_bridge.model.motion import LATEST, SLOWEST
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.ros_interface import RawMessage, Request
@@ -95,29 +95,46 @@ def test_a_lifespan_drops_what_is_surely_older(
 
 
 @pytest.mark.parametrize(
-    ("offset", "uncertainty", "usual", "old", "expected"),
+    ("offset", "uncertainty", "old", "expected"),
     [
-        (0.0, 0.001, 0.001, LATEST - 0.1, None),
-        (0.0, 0.001, 0.001, LATEST + 0.1, Cause.LINK_SLOW),
-        (0.0, 0.2, 0.2, LATEST + 0.1, None),  # it may be younger, or the link takes as long
-        (0.0, 0.001, 0.3, LATEST + 0.2, None),  # a link that is usually slow
-        (0.0, 0.001, 0.3, LATEST + 0.4, Cause.LINK_SLOW),
-        (None, None, 0.0, 9.0, None),  # nothing is known yet, and nothing has waited
-        (0.0, 0.001, 0.001, -1.0, None),  # from the future
+        (0.0, 0.001, LATEST - 0.1, None),
+        (0.0, 0.001, LATEST + 0.1, Cause.LINK_SLOW),
+        (0.0, 0.2, LATEST + 0.1, None),  # it may be younger, or the link takes as long
+        (0.0, 0.2, LATEST + 0.3, Cause.LINK_SLOW),
+        (0.0, 1.5, LATEST + SLOWEST - 0.1, None),
+        (0.0, 1.5, LATEST + SLOWEST + 0.1, Cause.LINK_SLOW),
+        (None, None, 9.0, None),  # nothing is known yet, and nothing has waited
+        (0.0, 0.001, -1.0, None),  # from the future
     ],
 )
 def test_command_is_dropped_if_surely_late(
     make_context: Callable[..., Context],
     offset: float | None,
     uncertainty: float | None,
-    usual: float,
     old: float,
     expected: str,
 ) -> None:
     context = make_context()
     age, peer = age_of(context, None, moves=True)
-    peer.stamps.offset, peer.stamps.uncertainty, peer.stamps.usual = offset, uncertainty, usual
+    peer.stamps.offset, peer.stamps.uncertainty = offset, uncertainty
     assert age.why_old(context.stamps.now() - round(old * S)) == expected
+
+
+@pytest.mark.parametrize("before", [1, 5, 60])
+@pytest.mark.parametrize("held", [0.6, 3.0])
+def test_network_that_holds_for_a_minute_is_not_usually_slow(
+    make_context: Callable[..., Context], held: float, before: int
+) -> None:
+    """Each command is as late as the pings that tell the delay."""
+    context = make_context()
+    age, peer = age_of(context, None, moves=True)
+    now = context.stamps.now()
+    for delay in [0.01] * before + [held] * 60:
+        now += S
+        back = now + round(delay * S)
+        peer.stamps.add(now, back, back, back + round(delay * S))
+        expected = Cause.LINK_SLOW if delay == held else None
+        assert age.why_old(context.stamps.now() - round(delay * S)) == expected
 
 
 @pytest.mark.parametrize(

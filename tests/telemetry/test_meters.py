@@ -129,24 +129,6 @@ def test_single_message_is_shown_after_long_pause() -> None:
     assert sum(meter.history) == 1
 
 
-def test_usual_delay_is_not_that_of_gap() -> None:
-    """A link that is full for long is usually slow; one that is just up is taken for quick."""
-    clock = ClockOffset()
-    exchange(clock, 0.0, 0.01, 0.01)
-    for delay in (1.0, 2.0, 3.0):
-        exchange(clock, 0.0, delay, delay)
-    assert clock.usual == pytest.approx(0.01)
-    for _ in range(12):
-        exchange(clock, 0.0, 0.02, 0.02)
-    assert clock.usual == pytest.approx(0.02)
-    for delay in (5.0, 4.0, 3.0, 2.0, 1.0):
-        exchange(clock, 0.0, delay, delay)
-    assert clock.usual == pytest.approx(0.02)
-    for _ in range(16):
-        exchange(clock, 0.0, 0.5, 0.5)
-    assert clock.usual == pytest.approx(0.5)
-
-
 def test_a_tick_right_after_another_makes_no_rate() -> None:
     meter = run_meter(10.0, [1.0] * 10)
     meter.add(1, 100, 60.001)

@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 LATEST = 0.5
 """s: the greatest age of a message that may move a robot, beyond the usual delay of its link. Bases with a timeout stop
 by themselves after as long (``cmd_vel_timeout`` of ros2_control's diff_drive_controller)."""
+SLOWEST = 0.5
+"""s: the longest usual delay that counts. By a geostationary satellite, messages take 0.3 s; a link that takes longer
+than these two together carries nothing that may move a robot."""
 _TYPES = (
     "Twist", "TwistStamped", "Joy", "JointTrajectory", "MultiDOFJointTrajectory", "JointJog", "Thruster",
     "AckermannDrive", "AckermannDriveStamped",

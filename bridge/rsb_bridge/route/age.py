@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.model.clock import shifted
 from rsb_bridge.model.demands import default_max_age, smallest_max_age
-from rsb_bridge.model.motion import LATEST
+from rsb_bridge.model.motion import LATEST, SLOWEST
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause, Verdict
 from rsb_bridge.ros.ros_interface import RawMessage, Request
@@ -233,7 +233,8 @@ class MessageAge:
                 # The remedies differ: an uncertain clock needs a moment, a slow link a lower rate.
                 doubtful = age <= self.max_age and uncertainty > self.max_age / 2
                 return Cause.CLOCK_UNKNOWN if doubtful else Cause.LINK_SLOW
-        if self._latest and age - max(uncertainty, clock.usual) > self._latest:
+        # The uncertainty is half of the shortest round trip, which no network that fills up later makes longer.
+        if self._latest and age - min(uncertainty, SLOWEST) > self._latest:
             return Cause.LINK_SLOW
         return Cause.LINK_SLOW if self._lifespan and age - uncertainty > self._lifespan else None
 

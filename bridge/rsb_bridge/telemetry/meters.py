@@ -32,7 +32,6 @@ _LARGEST_FIGURE = 1e9  # s; a peer may report any number, and screens and JSON s
 
 # Of clocks.
 _PINGS = 16  # exchanges, one a second: the shortest is hardly held up, and a clock that drifts is followed
-_USUAL_FROM = 8  # exchanges that tell the usual delay. A round figure
 _DRIFT_RATE, _DRIFT = 1e-4, 2e-3  # s by which two clocks drift apart in a second, and over as many pings, at 100 ppm
 
 # s that a shortest time counts, about, and of the parts that are forgotten at once. Round figures: a link may be full
@@ -286,10 +285,9 @@ class ClockOffset:
             before the first.
         uncertainty: s: half the round trip, which bounds the error on asymmetric paths, too, plus the clocks' possible
             drift since. So a long delay on the path is not taken for an offset.
-        usual: s that the path takes one way without trouble, or 0 before the first exchange.
     """
 
-    __slots__ = ("_best", "_samples", "offset", "rtt", "uncertainty", "usual")
+    __slots__ = ("_best", "_samples", "offset", "rtt", "uncertainty")
 
     def __init__(self) -> None:
         self._samples: deque[tuple[float, float, int]] = deque(maxlen=_PINGS)  # round trip, offset, when it came back
@@ -297,7 +295,6 @@ class ClockOffset:
         self.rtt: float | None = None
         self.offset: float | None = None
         self.uncertainty: float | None = None
-        self.usual = 0.0
 
     def add(self, sent: int, received: int, answered: int, back: int) -> None:
         """Take one exchange. All in ns: sent and back on our clock, received and answered on the peer's."""
@@ -308,11 +305,7 @@ class ClockOffset:
             self._samples.clear()
             self._best = None
         self._samples.append((self.rtt, offset, back))
-        in_order = sorted(self._samples)  # by the round trip, which comes first
-        shortest = in_order[0]
-        # A link that is full for long is usually slow. What a gap of some seconds holds up is less than three quarters,
-        # except of a link that is just up.
-        self.usual = in_order[len(in_order) // 4 if len(in_order) >= _USUAL_FROM else 0][0] / 2
+        shortest = min(self._samples)  # by the round trip, which comes first
         self.uncertainty = shortest[0] / 2
         # A path that holds up all pings of the window must not move the clock: the best one from before counts on,
         # until the drift since then may be larger.
