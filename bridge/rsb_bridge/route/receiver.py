@@ -235,14 +235,14 @@ class Receiver:
         """Open the channel once there is a publisher, and look for subscribers."""
         if not self.outputs:
             self.listeners.look_without_publisher()
-            self._look_for_publishers()
-            return
-        if self.route.life.accepted and self.carried.channel is None:
-            # While it is paused, too: the other side may not know yet, and frames without a channel hold up all others.
-            self.route.peer.open_channel(self.route)
+        else:
+            if self.route.life.accepted and self.carried.channel is None:
+                # While it is paused, too: the other side may not know yet, and frames without a channel hold up all
+                # others.
+                self.route.peer.open_channel(self.route)
+            self.listeners.look()
+            self.lazy.tell()
         self._look_for_publishers()
-        self.listeners.look()
-        self.lazy.tell()
 
     def _look_for_publishers(self) -> None:
         report = self.facts.report_now

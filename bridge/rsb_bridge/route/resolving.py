@@ -216,7 +216,7 @@ def choose_type(
     Raises:
         UnresolvedError: the publishers have no type that can be sent.
     """
-    types = nodes_by(publishers, lambda publisher: publisher.type_name)
+    types = nodes_by("type_name", publishers)
     if wanted and types and wanted not in types:
         if used.name == wanted:
             raise _clash(f"publishers send {_named(types)} now, and no longer {wanted}: correct them, or the type")
@@ -224,7 +224,7 @@ def choose_type(
     name = wanted or (used.name if used.name in types else next(iter(types), hint.name))
     if not wanted and len(types) > 1 and name != used.name:
         raise _clash(f"publishers disagree on the type: {_named(types)}: set the topic's type")
-    versions = nodes_by((each for each in publishers if each.type_name == name), lambda each: each.type_hash)
+    versions = nodes_by("type_hash", [each for each in publishers if each.type_name == name])
     if len(versions) > 1:  # DDS compares names only, and would mix their messages
         raise _clash(f"publishers have different versions of {name}: {_named(versions)}: install one version")
     if versions or not name:
@@ -238,7 +238,7 @@ def left_out(publishers: Sequence[Endpoint], wanted: str, sent: str) -> str:
 
     If the session names the type, publishers of other types are left out on purpose.
     """
-    types = nodes_by(publishers, lambda each: each.type_name)
+    types = nodes_by("type_name", publishers)
     others = {name: nodes for name, nodes in types.items() if name != sent}
     if wanted or not others:
         return ""

@@ -95,11 +95,9 @@ def _several(half: TopicFacts, _: Crossing) -> Verdict | None:
 
 
 def _shared(half: SenderFacts, _: Crossing) -> Verdict | None:
-    if not half.route.meter.regular or half.carried.type_name in OF_MANY or half.flow.drivers.are_watched:
-        return None
-    type_name = half.carried.type_name
+    type_name, drivers = half.carried.type_name, half.flow.drivers
     own = [each for each in half.carried.endpoints if each.type_name == type_name and not is_bridge(each.node)]
-    if len(own) < 2:
+    if len(own) < 2 or type_name in OF_MANY or drivers.are_watched or not half.route.meter.regular:
         return None
     text = f"{_plural(own, 'publishes', 'publish')} it: subscribers get all; stop those that are not meant"
     return Verdict(State.OK, Cause.SEVERAL_PUBLISHERS, text)
