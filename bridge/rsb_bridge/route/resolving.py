@@ -17,7 +17,7 @@ from rsb_bridge.model.qos import match_publishers
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.ros_graph import Sought, are_alike
-from rsb_bridge.route.combined_verdict import nodes_by, who_publish
+from rsb_bridge.route.combined_verdict import node_names, nodes_by, who_publish
 from rsb_bridge.route.listeners import PublishedAs
 
 if TYPE_CHECKING:
@@ -73,6 +73,7 @@ class Resolver:
         self.published_there = PublishedAs()  # on the receiving side
         self.hint = TypeVersion()  # the type that the topic has on the receiving side
         self.publisher_qos: Qos | None = None  # that all publishers offer, or None without any
+        self.publisher_nodes: tuple[str, ...] = ()  # some of their nodes
         self.unresolved: UnresolvedError | None = None  # the reason why type or QoS is unknown
         self._route, self._context, self._proposal = route, route.context, route.proposal
         self._used = TypeVersion()
@@ -83,7 +84,7 @@ class Resolver:
 
     def update(self, publishers: Sequence[Endpoint]) -> None:
         """Take the topic's present publishers."""
-        self._publishers = publishers
+        self._publishers, self.publisher_nodes = publishers, node_names(publishers)
         if publishers:
             self._nodes = frozenset([each.node for each in publishers])
         self.publisher_qos = match_publishers([each.qos for each in publishers]) if publishers else None
