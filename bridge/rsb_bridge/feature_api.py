@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from rsb_bridge.feature import late_names
 
 if TYPE_CHECKING:
-    from rsb_bridge.api import EngineApi, EngineError
+    from rsb_bridge.api import EngineApi, EngineError, Unable
     from rsb_bridge.config.files import make_folder, replace_file, typed_path, why_not_written
     from rsb_bridge.config.rights import DeniedUse, Rights
     from rsb_bridge.config.session_file import SessionError, load
@@ -55,7 +55,7 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.records import PRINTABLE, Count, Name, Reason, RouteId, Seconds
 
 _NAMES = {
-    "rsb_bridge.api": ("EngineApi", "EngineError"),
+    "rsb_bridge.api": ("EngineApi", "EngineError", "Unable"),
     "rsb_bridge.config.files": ("make_folder", "replace_file", "typed_path", "why_not_written"),
     "rsb_bridge.config.rights": ("DeniedUse", "Rights"),
     "rsb_bridge.config.session_file": ("SessionError", "load"),

@@ -91,9 +91,10 @@ class Side(FakePeer):
     def change(self, route: Route, **keys: Any) -> None:
         topic = msgspec.structs.replace(route.spec, **keys)
         with suppress(LinkError):  # the new name is bridged
-            self.proposed.check_replace(route, topic)
+            entry = self.proposed.entry(topic)
+            self.proposed.check_replace(route, entry)
             if route.proposed_here:
-                self.proposed.replace(route, topic)
+                self.proposed.replace(route, entry)
                 return
             question = self.proposed.question(route, self.proposed.demand(route, topic))
             if question is not None and question.route:

@@ -46,7 +46,7 @@ def held(side: Side) -> dict[str, int]:
         "types": budget.types.used,
         "routes": len(side.routes),
         "open": len(side.ids.open_routes()),
-        "demands": len(side.context.demands.sources),
+        "demands": len(side.context.demands.read().sources),
     }
 
 

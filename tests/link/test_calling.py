@@ -252,7 +252,7 @@ async def test_restart_waits_for_present_topics(
     restarting = loop.create_task(role.restart(steps.append))
     await asyncio.sleep(1.0)
     for depth in (7, 8):
-        route = link.proposed.replace(route, Topic("/chat", "transmit", qos=depth))
+        route = link.proposed.replace(route, link.proposed.entry(Topic("/chat", "transmit", qos=depth)))
     for event in (RouteEvent.OPEN, RouteEvent.ACCEPT):
         route.life.handle(event)
     await restarting

@@ -58,10 +58,8 @@ def test_they_change_with_the_session_of_either_side(make_context: Callable[...,
     """Also while the route is open."""
     robot, pc = pair_with(make_context, VelocityLimits(0.5), VelocityLimits(0.4))
     assert route(robot).arming.limits == VelocityLimits(0.4)
-    pc.context.session = msgspec.structs.replace(
-        pc.context.session, armed=(ArmedName("/cmd_vel", limits=VelocityLimits(0.3)),)
-    )
-    pc.context.demands.changed()
+    armed = (ArmedName("/cmd_vel", limits=VelocityLimits(0.3)),)
+    pc.context.demands.use(msgspec.structs.replace(pc.context.session, armed=armed))
     pc.context.demands.apply()
     hear_all((robot, pc))
     robot.table.retry()

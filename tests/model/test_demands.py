@@ -173,11 +173,11 @@ class Running:
 
     def end(self, *names: str) -> None:
         """End demands, as an operator has agreed to."""
-        self.demands.end([each for each in self.demands.sources if each.name in names])
+        self.demands.end([each for each in self.demands.read().sources if each.name in names])
 
     def demanded(self, name: str, kind: Kind = "topic") -> float | None:
         """The deadman of a name that has to be armed, or None."""
-        found = self.demands.of(kind, name)
+        found = self.demands.read().of(kind, name)
         return found.deadman if found is not None and found.arm else None
 
 
@@ -291,7 +291,7 @@ def test_servers_removed_entry_counts_under_clients_name(entry: Topic) -> None:
     """A client that bridged the name to another one of the server was free of it once the entry was removed."""
     running = Running(entry, client="robot1")
     running.edit()
-    find = running.demands.of
+    find = running.demands.read().of
     assert find("topic", "/far", client="robot1", client_name="/cmd") is not None
     assert find("topic", "/far", client="robot2", client_name="/cmd") is None
     assert find("topic", "/robot1/cmd") is not None
@@ -328,7 +328,7 @@ def test_another_session_takes_no_line_out() -> None:
 def test_only_operator_ends_demand() -> None:
     running = Running(CMD, armed=("/other",))
     running.edit()
-    running.demands.tell_end([each for each in running.demands.sources if each.name == "/cmd"])
+    running.demands.tell_end([each for each in running.demands.read().sources if each.name == "/cmd"])
     assert running.entries.told == ["/cmd"]
     assert running.demanded("/cmd") is not None, "not before the end"
     running.end("/cmd")
@@ -405,7 +405,7 @@ def test_the_line_is_named() -> None:
 
 def test_line_that_no_file_has_is_named() -> None:
     running = Running(CMD)
-    (added,) = running.demands.sources
+    (added,) = running.demands.read().sources
     assert running.demands.origin(added) == OriginText.THIS_SESSION()
     running.demands.set_places({added.key: "robot.yaml:14"})
     assert running.demands.origin(added) == "robot.yaml:14"
@@ -417,11 +417,11 @@ def test_change_costs_server_of_many_robots_little() -> None:
     patterns = tuple(Topic(f"/cmd{number}*", "receive", arm=True) for number in range(20))
     for number in range(60):
         demands.register(Entries(f"robot{number}", patterns))
-    demands.of("topic", "/cmd")
+    demands.read()
 
     def change() -> Demand | None:
         demands.changed()
-        return demands.of("topic", "/robot3/cmd7_vel", client="robot3", client_name="/cmd7_vel")
+        return demands.read().of("topic", "/robot3/cmd7_vel", client="robot3", client_name="/cmd7_vel")
 
     found, calls = counted(change)
     assert found is not None

@@ -98,3 +98,13 @@ def test_own_libraries_may_come_after_others(tmp_path: Path) -> None:
     check_libraries(variables | {"LD_LIBRARY_PATH": str(theirs)}, tmp_path / "a_setup_file")
     with pytest.raises(RosError, match=r"ours would load the libraries of .*theirs"):
         check_libraries(variables | {"LD_LIBRARY_PATH": str(theirs)}, tmp_path / "ours")
+
+
+def test_libraries_of_linked_packages_are_own(tmp_path: Path) -> None:
+    """As in the environment of ``make test-core``, and those of some package managers."""
+    linked, real = (tmp_path / name / "lib/python3.11/site-packages" for name in ("linked", "real"))
+    (real / "ros_rclpy.libs").mkdir(parents=True)
+    linked.mkdir(parents=True)
+    (linked / "ros_rclpy.libs").symlink_to(real / "ros_rclpy.libs")
+    variables = {"_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1", "LD_LIBRARY_PATH": str(real / "ros_rclpy.libs")}
+    check_libraries(variables, tmp_path / "linked")

@@ -124,7 +124,6 @@ def test_only_what_is_published_and_alike_is_named() -> None:
         ("/robot1/front_scan", False),
         ("/robot1/scan/compressed", False),
         ("/robot1/odom", False),
-        ("", False),
     ],
 )
 def test_derived_topic_is_no_mistyped_one(other: str, meant: bool) -> None:

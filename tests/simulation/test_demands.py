@@ -22,7 +22,7 @@ from tests.support.long import long
 from rsb_bridge.api import EngineError
 from rsb_bridge.link.link_arming import LinkArming
 from rsb_bridge.model.commands import AddTopic, EditTopic, RemoveTopic
-from rsb_bridge.model.demands import NO_DEMAND, Demand, Demands, DemandSource, RunningDemands
+from rsb_bridge.model.demands import NO_DEMAND, Demand, Demands, DemandSource, RunningDemands, merged
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
 
@@ -188,7 +188,7 @@ def test_what_either_session_demands_never_crosses_unarmed(seed: int) -> None:
 
 def _forgotten(self: RunningDemands) -> Demands:
     """Have a removed entry take its demand along."""
-    self._host.session = msgspec.structs.replace(self._host.session, armed=self._host.armed_in_file)
+    self._lines = merged(self._host.armed_in_file)
     found: Demands = _read(self)
     return found
 
@@ -212,7 +212,7 @@ _read = replaced.RUNNING_DEMANDS_READ.value
 
 @pytest.mark.parametrize(
     ("owner", "name", "mistake"),
-    [(RunningDemands, "_read", _forgotten), (LinkArming, "_own", _of_the_entry), (Demands, "_matching", _first)],
+    [(RunningDemands, "read", _forgotten), (LinkArming, "_own", _of_the_entry), (Demands, "_matching", _first)],
     ids=["edits drop demands", "only the route's own entry", "patterns do not count"],
 )
 def test_a_mistake_is_found(owner: type, name: str, mistake: Callable[..., object]) -> None:

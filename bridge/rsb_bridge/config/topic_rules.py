@@ -104,8 +104,8 @@ class TopicMistake(Wording):
 def range_problems(holder: msgspec.Struct) -> Iterator[Problem]:
     """Yield the numbers outside of their ranges, of a topic or anything else with fields of these names."""
     for name in holder.__struct_fields__:
-        key = TOPIC_KEYS.get(name)
-        if key is not None and key.range_text and not key.allows(value := getattr(holder, name)):
+        key, value = TOPIC_KEYS.get(name), getattr(holder, name)
+        if value is not None and key is not None and key.range_text and not key.allows(value):
             yield _out_of_range(key, value)
 
 
@@ -120,7 +120,7 @@ def _feature_problems(topic: Topic) -> Iterator[Problem]:
     for name, value in topic.features.items():
         if name not in ADDED_KEYS:
             continue
-        if not TOPIC_KEYS[name].allows(value):
+        if value is not None and not TOPIC_KEYS[name].allows(value):
             yield _out_of_range(TOPIC_KEYS[name], value)
         if ADDED_KEYS[name].of_peer and isinstance(value, str) and value != sanitize_text(value, TEXT_LENGTH):
             yield Problem(name, TopicMistake.NOT_FOR_PEER(value=show(value), limit=TEXT_LENGTH))

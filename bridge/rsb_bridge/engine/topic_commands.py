@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.demands import DemandSource, SourceKey
     from rsb_bridge.model.session import Topic
     from rsb_bridge.route.peeking import Peeking
-    from rsb_bridge.route.route import Route
+    from rsb_bridge.route.route import Entry, Route
     from rsb_bridge.telemetry.event_log import EventLog
 
 _INSTEAD = "remove the one, and add the other"
@@ -182,15 +182,15 @@ class TopicCommands(EnginePart):
             # A form, a plan or an undo writes the whole topic: it would take back what another operator has changed.
             if command.seen is not None and (differences := changes(command.seen, old)):
                 raise LinkError(Denied.CHANGED(topic=old.topic, differences=", ".join(differences)))
-            topic, ended = self._checked(named, command)
+            topic, entry, ended = self._checked(named, command)
             there = None
-            if route is None:
+            if route is None or entry is None:
                 new_key, name = link.patterns.replace(old.identity, topic), topic.topic
             elif route.proposed_here:
-                new = link.proposed.replace(route, topic)
+                new = link.proposed.replace(route, entry)
                 new_key, name = new.key, new.local_topic
             else:
-                new_key, name = link.proposed.names(topic)
+                new_key, name = link.proposed.names(entry)
                 there = link.proposed.demand(route, topic)
             self._demands.end(ended)
             if old.arm and topic.arm and (route is None or route.here is not None):
@@ -204,8 +204,11 @@ class TopicCommands(EnginePart):
         await _settled(routes)
         return new_key
 
-    def _checked(self, named: Named, command: EditTopic) -> tuple[Topic, list[DemandSource]]:
-        """Return the entry with the client's names, and the demands that an operator ends by it."""
+    def _checked(self, named: Named, command: EditTopic) -> tuple[Topic, Entry | None, list[DemandSource]]:
+        """Return what an edit puts there, with the client's names, and the demands that an operator ends by it.
+
+        A pattern has no `Entry`.
+        """
         topic, drop_arm = command.topic, command.drop_arm
         if drop_arm and topic.arm:
             raise LinkError(f"{topic.topic} would still have to be armed: set arm=false together with --drop-arm")
@@ -213,15 +216,16 @@ class TopicCommands(EnginePart):
         if (route is None) != topic.is_pattern:
             one, other = (topic.topic, old.topic) if route is not None else (old.topic, topic.topic)
             raise LinkError(f"{one} is a pattern, and {other} is none: {_INSTEAD}")
+        entry = None
         if route is None:
             link.patterns.check_replace(old.identity, topic)
         else:
             # The present name is the client's already, and may look like one with the client's name before it.
             if topic.topic != old.topic:
                 topic = link.end.client_names(topic)
-            link.proposed.check_replace(route, topic)
+            link.proposed.check_replace(route, entry := link.proposed.entry(topic))
         # Last, because nothing may refuse the edit after that.
-        return topic, self._ended(named, wanted=drop_arm, names_it=old.arm and not topic.arm)
+        return topic, entry, self._ended(named, wanted=drop_arm, names_it=old.arm and not topic.arm)
 
     async def remove(self, command: RemoveTopic) -> str:
         # A pattern that matches the topic leaves it out from then on.
@@ -231,9 +235,9 @@ class TopicCommands(EnginePart):
             self._remove(named, drop_arm=command.drop_arm)
         await _settled(routes)
         if named.route is None:
-            sources = [each for each in self._demands.sources if each.arm and each.name == named.name]
+            sources = [each for each in self._demands.read().sources if each.arm and each.name == named.name]
         else:
-            demand = named.link.table.arming.demand_on(named.route, self._demands)
+            demand = named.link.table.arming.demand_on(named.route, self._demands.read())
             sources = [] if demand is None else [*demand.sources]
         return ", ".join(map(self._demands.origin, sources))
 
@@ -270,7 +274,7 @@ class TopicCommands(EnginePart):
         others_keys = self._others(named)
         own = [
             each
-            for each in demands.sources
+            for each in demands.read().sources
             if each.arm and each.name == name and each.kind in (None, entry.kind) and each.key not in others_keys
         ]
         if names_it and not wanted:
@@ -278,7 +282,7 @@ class TopicCommands(EnginePart):
             raise LinkError(f"{name} has to be armed ({lines}): --drop-arm ends that, too")
         if not wanted:
             return []
-        demand = None if route is None else link.table.arming.demand_on(route, demands)
+        demand = None if route is None else link.table.arming.demand_on(route, demands.read())
         others = [each for each in ([] if demand is None else demand.sources) if each not in own]
         if others or (not own and route is not None and route.arming.required):
             lines = ", ".join(map(demands.origin, others)) or PEER_DEMANDS

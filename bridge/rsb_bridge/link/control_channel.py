@@ -14,7 +14,7 @@ from rsb_bridge.model.reason import EndCode
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.tasks import NOT_TOO_EARLY, SLICE, turn_began
 from rsb_bridge.transport.streams import Stream, StreamHandler
-from rsb_bridge.wire.codec import decode, invalid
+from rsb_bridge.wire.codec import decode, encode, invalid
 from rsb_bridge.wire.events import DataFrame, Event, Failed, MessageReceived, StreamRefused
 from rsb_bridge.wire.framing import CONTROL_LIMIT
 from rsb_bridge.wire.messages import Describe, Shutdown
@@ -126,13 +126,11 @@ class ControlChannel(StreamHandler):
 
     def send(self, message: ControlMessageBase) -> None:
         """Send a message, or keep it until the stream takes it."""
-        self._write(self._connection.send(message))
+        self.send_encoded(encode(message))
 
     def send_encoded(self, content: bytes) -> None:
         """Send a message as it was encoded; see `send`."""
-        self._write(self._connection.send_encoded(content))
-
-    def _write(self, sealed: bytes) -> None:
+        sealed = self._connection.send_encoded(content)
         if not self.stream.congested:
             self.stream.write(sealed)
         elif len(self._unsent) + len(sealed) > _MOST_WAITING:

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.link.base_link import BaseLink
     from rsb_bridge.link.peer_operators import PeerOperators
-    from rsb_bridge.model.demands import Demand, RunningDemands
+    from rsb_bridge.model.demands import Demand
     from rsb_bridge.model.session import Topic
     from rsb_bridge.route.route import Route
     from rsb_bridge.wire.messages import Accept, ArmingMessage, Settled
@@ -237,7 +237,7 @@ class LinkArming:
             if route.id and self.demand_on(route, demands) is not None:
                 self._link.send(Disarm(route.id, DROPPED, acting_operator()))
 
-    def demand_on(self, route: Route, demands: Demands | RunningDemands) -> Demand | None:
+    def demand_on(self, route: Route, demands: Demands) -> Demand | None:
         """Return what this side's session, or some lines of it, demands of a route's names."""
         if not route.purpose.in_graph:
             return None
@@ -247,7 +247,7 @@ class LinkArming:
         return demands.of(kind, route.local_topic, type_name, client=client, client_name=far)
 
     def _own(self, route: Route) -> Demand:
-        return self.demand_on(route, self._context.demands) or NO_DEMAND
+        return self.demand_on(route, self._context.demands.read()) or NO_DEMAND
 
     def _say_who_demands(self, route: Route) -> None:
         """Name the lines that demand arming, and the limits of messages by hand, for operators."""

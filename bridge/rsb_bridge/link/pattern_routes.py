@@ -88,7 +88,7 @@ class PatternRoutes:
         """Change a route to the present values of its pattern."""
         if msgspec.structs.replace(topic, paused=route.spec.paused) != route.spec:  # a pause is the operators'
             try:
-                route = self._proposed.replace(route, topic)
+                route = self._proposed.replace(route, self._proposed.entry(topic))
             except LinkError as error:
                 entry.left_out[topic.topic] = str(error)
         route.pattern = entry.topic.topic  # `replace` takes it for an operator's edit

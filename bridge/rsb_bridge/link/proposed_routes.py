@@ -67,10 +67,10 @@ class ProposedTopics(Extension):
         Raises:
             LinkError: the topic has a mistake, or is bridged already, and the other side's entry is another one.
         """
-        entry = self._entry(topic)
+        entry = self.entry(topic)
         route = self._link.routes.get(route_key(self._link.name, entry.proposal))
         if route is not None and route.pattern:
-            return self.replace(route, topic)
+            return self.replace(route, entry)
         if route is not None and not (route.here or by_pattern):
             return self._list_too(route, entry)
         return self._table.add(entry, proposed_here=True)
@@ -101,38 +101,37 @@ class ProposedTopics(Extension):
     def is_bridged(self, topic: Topic) -> bool:
         """Whether a valid topic has a route, possibly under another name on the client."""
         try:
-            return route_key(self._link.name, self._entry(topic).proposal) in self._link.routes
+            return route_key(self._link.name, self.entry(topic).proposal) in self._link.routes
         except LinkError:
             return False
 
     def can_amend(self, route: Route, topic: Topic) -> bool:
         """Whether a route goes on, with its counts, if another valid topic takes its place: only limits differ."""
-        return same_route(route.proposal, self._entry(topic).proposal)
+        return same_route(route.proposal, self.entry(topic).proposal)
 
-    def replace(self, route: Route, topic: Topic) -> Route:
-        """Put another topic in the place of one that this side proposes; a pattern no longer controls it.
+    def replace(self, route: Route, entry: Entry) -> Route:
+        """Put another entry in the place of one that this side proposes; a pattern no longer controls it.
 
         The route goes on if only limits differ, else there is a new one.
 
         Raises:
-            LinkError: the topic has a mistake, or there is such a route; the old route stays.
+            LinkError: there is such a route; the old route stays.
         """
-        table, entry = self._table, self._entry(topic)
+        table = self._table
         if (key := route_key(self._link.name, entry.proposal)) != route.key:  # the peer may bridge the new name already
-            table.keep_demand(topic, key)
+            table.keep_demand(entry.topic, key)
         if not same_route(route.proposal, entry.proposal):
             return table.change(route, entry)
         route.pattern = ""
         table.amend(route, entry)
         return route
 
-    def check_replace(self, route: Route, topic: Topic) -> None:
+    def check_replace(self, route: Route, entry: Entry) -> None:
         """Raise `LinkError` where `replace` or `edit_there` would."""
-        entry = self._entry(topic)
         if not same_route(route.proposal, entry.proposal):
             self._table.check_add(entry, instead_of=route)
 
-    def _entry(self, topic: Topic) -> Entry:
+    def entry(self, topic: Topic) -> Entry:
         """Return an entry of this side's session with its proposal; raise `LinkError` if it has a mistake."""
         link, session, prefixed = self._link, self._context.session, self._link.end.prefixed
         for problem in validate_topic(topic, session, client=link.name if prefixed else None):
@@ -144,9 +143,9 @@ class ProposedTopics(Extension):
 
     # --- entries of the other side's session
 
-    def names(self, topic: Topic) -> tuple[str, str]:
-        """Return the key that a topic's route has, or will have, and the topic's name on this side."""
-        proposal = self._entry(topic).proposal
+    def names(self, entry: Entry) -> tuple[str, str]:
+        """Return the key that an entry's route has, or will have, and the topic's name on this side."""
+        proposal = entry.proposal
         return route_key(self._link.name, proposal), use_of(proposal, is_client=self._link.is_client).topic
 
     def demand(self, route: Route, topic: Topic) -> Topic:
@@ -171,7 +170,7 @@ class ProposedTopics(Extension):
         elif new["features"] != old.features:
             raise LinkError(Denied.KEY_OF_SIDE(topic=route.local_topic, keys=", ".join(of_this_side(topic.features))))
         elif topic.arm:
-            self._table.arming.keep_demand(self.names(topic)[1], topic)
+            self._table.arming.keep_demand(self.names(self.entry(topic))[1], topic)
         elif topic.limits != old.limits:
             raise LinkError(Denied.LIMITS_OF_PEER(topic=route.local_topic))
         left = {name: getattr(route.spec, name) for name in ARMING_KEYS}
@@ -192,16 +191,17 @@ class ProposedTopics(Extension):
                 raise LinkError(Denied.OUT_OF_REACH(topic=route.local_topic))
             if problem := await self._questions.ask(question.number, question):
                 raise LinkError(f"refused by the other side: {problem}")
-        new = self._link.routes.get(self.names(topic)[0])
+        entry = self.entry(topic)
+        new = self._link.routes.get(self.names(entry)[0])
         if new is not None and new.pausing.paused and not topic.paused:
             self._table.pause(new, paused=False)
         if new is not None and was_listed and not new.listed:  # under another name
-            self._list_too(new, self._entry(topic))
+            self._list_too(new, entry)
 
     def question(self, route: Route, topic: Topic) -> Edit | None:
         """Return the message that asks the other side to put a topic in a route's place, or None if nothing differs."""
         running = (msgspec.structs.replace(each, paused=False) for each in (route.spec, topic))
-        seen, wanted = (self._entry(each).proposal for each in running)
+        seen, wanted = (self.entry(each).proposal for each in running)
         if seen == wanted:
             return None
         self._asked += 1
@@ -233,16 +233,17 @@ class ProposedTopics(Extension):
         if (wanted.topic, wanted.remote_topic) != (seen.topic, seen.remote_topic):
             wanted = link.end.with_local_name(wanted)  # with `use_name`, a client reaches only its own names
         before = route.spec
-        entry = edited_entry(before, seen, wanted, link)
-        renamed = (before.identity, before.remote_topic) != (entry.identity, entry.remote_topic)
+        topic = edited_entry(before, seen, wanted, link)
+        renamed = (before.identity, before.remote_topic) != (topic.identity, topic.remote_topic)
         if before.arm and renamed:  # the demand on each name that it had would stay, and a peer makes none grow
             raise LinkError(Denied.ARMED_THERE(topic=message.wanted.topic))
-        ages = [effective_max_age((each.max_age,), armed=True) or math.inf for each in (before, entry)]
+        ages = [effective_max_age((each.max_age,), armed=True) or math.inf for each in (before, topic)]
         if route.arming.required and ages[1] > ages[0]:
             raise LinkError(Denied.AGE_OF_ARMED(topic=message.wanted.topic))
-        if before.port != entry.port and not link.is_client:
+        if before.port != topic.port and not link.is_client:
             raise LinkError(Denied.PORT_OF_SERVER(topic=message.wanted.topic))
-        use = use_of(self._entry(entry).proposal, is_client=link.is_client)
+        entry = self.entry(topic)
+        use = use_of(entry.proposal, is_client=link.is_client)
         if use != use_of(route.proposal, is_client=link.is_client):
             check_use(use, link)
         new = self.replace(route, entry)

@@ -179,7 +179,7 @@ def _remove(link: Link, identity: Identity) -> None:
 def _replace(link: Link, topic: Topic) -> None:
     route = _listed(link, topic.identity)
     if route is not None and route.proposed_here:
-        link.proposed.replace(route, topic)
+        link.proposed.replace(route, link.proposed.entry(topic))
         return
     if route is not None:  # the other side has opened it: it stays listed here if the two still say the same
         link.proposed.unlist(route)

@@ -468,12 +468,10 @@ class RunningDemands:
         self._host = host
         self._holders: list[Holder] = []
         self._entries: tuple[DemandSource, ...] = ()
-        self._armed: tuple[str | ArmedName, ...] = ()
-        self._demands = Demands()
         self._applied: Demands | None = None
         self._places: Mapping[SourceKey, str] = {}
         self._is_stale = self._is_changing = False
-        self._read()
+        self._set(host.session.armed)
 
     def register(self, holder: Holder) -> None:
         """Count the entries of one more link."""
@@ -483,7 +481,7 @@ class RunningDemands:
     def unregister(self, holder: Holder) -> None:
         """Forget a link; its demands stay."""
         if holder in self._holders:
-            self._read()
+            self.read()
             self._holders.remove(holder)
             self.changed()
 
@@ -493,53 +491,44 @@ class RunningDemands:
             self._is_stale = True
             self._host.demands_changed()
 
-    def of(
-        self, kind: Kind, name: str, type_name: str = "", *, client: str = "", client_name: str = ""
-    ) -> Demand | None:
-        """Return the present demand on a name; `Demands.of` has the same arguments."""
-        return self._read().of(kind, name, type_name, client=client, client_name=client_name)
-
-    @property
-    def sources(self) -> tuple[DemandSource, ...]:
-        """The lines that demand anything now."""
-        return self._read().sources
-
     @property
     def written(self) -> tuple[str | ArmedName, ...]:
         """`armed` for the session's file: its own lines, and what neither they nor entries say. From any thread."""
-        armed, in_file = merged(self._armed), merged(self._host.armed_in_file)
-        known = all_armed(in_file.values(), self._entries)
-        said = (in_file.get(key) if known.get(key) == each else each for key, each in armed.items())
-        return tuple(each for each in said if each is not None)
+        if not self._lines:  # as in most sessions, and each snapshot asks
+            return ()
+        lines, in_file = self._lines, merged(self._host.armed_in_file)
+        said = all_armed(in_file.values(), self._entries)
+        stay = {key: each for key, each in in_file.items() if key in lines}
+        return tuple((stay | {key: each for key, each in lines.items() if said.get(key) != each}).values())
 
-    def _read(self) -> Demands:
-        """Have every present entry's line in `armed`."""
-        entries = self._entries
+    def read(self) -> Demands:
+        """Return what is demanded now, also by entries that have just changed."""
         if self._is_stale:
             self._is_stale = False
             entries = tuple(dict.fromkeys(chain.from_iterable(each.demand_sources() for each in self._holders)))
-        if entries != self._entries or self._host.session.armed is not self._armed:
-            self._entries = entries
-            self._armed = self._set(all_armed(self._host.session.armed, entries))
-            self._demands = Demands((*map(line_of, self._armed), *(each for each in entries if not each.arm)))
+            if entries != self._entries:
+                self._entries = entries
+                self._set(self._lines.values())
         return self._demands
 
-    def _set(self, armed: Mapping[SourceKey, str | ArmedName]) -> tuple[str | ArmedName, ...]:
-        items = tuple(armed.values())
+    def _set(self, armed: Iterable[str | ArmedName]) -> None:
+        """Have these lines in `armed`, and that of every present entry."""
+        self._lines = all_armed(armed, self._entries)
+        items, unarmed = tuple(self._lines.values()), [each for each in self._entries if not each.arm]
+        self._demands = Demands((*map(line_of, items), *unarmed))
         if items != self._host.session.armed:
             self._host.session = msgspec.structs.replace(self._host.session, armed=items)
-        return self._host.session.armed
 
     def keep(self, source: DemandSource) -> None:
         """Demand what an entry demands that cannot be added."""
-        self._set(merged((*self._host.session.armed, as_armed(source))))
+        self._set((*self._lines.values(), as_armed(source)))
         self._host.demands_changed()
 
     def use(self, session: Session) -> None:
         """Change to another session, whose entries are yet to come, and keep the lines that it does not have."""
-        self._read()
+        self.read()
         self._host.session = session
-        self._set(merged((*all_armed(session.armed, sources_of_topics(session)).values(), *self._armed)))
+        self._set((*all_armed(session.armed, sources_of_topics(session)).values(), *self._lines.values()))
 
     # --- what operators end
 
@@ -557,7 +546,7 @@ class RunningDemands:
         """Return the lines that demand arming of names of which a session does not demand it."""
         new = all_armed(session.armed, sources_of_topics(session))
         excepts = {key: set(line_of(each).excepts) for key, each in new.items()}
-        lines = (each for each in self.sources if each.arm)
+        lines = (each for each in self.read().sources if each.arm)
         return [each for each in lines if each.key not in new or not excepts[each.key] <= set(each.excepts)]
 
     def tell_end(self, lines: Iterable[DemandSource]) -> None:
@@ -566,36 +555,38 @@ class RunningDemands:
             for holder in self._holders:
                 holder.demand_dropped(line)
 
-    def end(self, lines: Collection[DemandSource], said: Iterable[str | ArmedName] = ()) -> None:
+    def end(self, lines: Collection[DemandSource], said: Collection[str | ArmedName] = ()) -> None:
         """Take lines out as an operator has agreed to by name. Present entries and the file's lines stay.
 
         Args:
             said: what other lines say from now on; they leave out no further names.
         """
+        if not (lines or said):
+            return
         self._is_stale = True  # not every change of an entry is noted that drops its demand
-        self._read()
+        self.read()
         ended = {each.key for each in lines}
-        armed = {key: each for key, each in merged(self._armed).items() if key not in ended}
+        armed = {key: each for key, each in self._lines.items() if key not in ended}
         for each in said:
             new = line_of(each)
             old = line_of(armed.get(new.key, each))
             excepts = tuple(name for name in new.excepts if name in old.excepts)
             armed[new.key] = each if excepts == new.excepts else as_armed(replace(new, excepts=excepts))
         still = (each for key, each in merged(self._host.armed_in_file).items() if key in armed)
-        self._set(merged((*armed.values(), *still)))
-        stay = {line.key for line in self.sources}
+        self._set((*armed.values(), *still))
+        stay = {line.key for line in self.read().sources}
         for line in lines:
             if line.key not in stay:
                 self._host.demand_dropped(line, self.origin(line))
 
     def edited(self, old: DemandSource, new: DemandSource) -> None:
         """Have a line say what its entry says by now, unless it demands more than the entry did."""
-        if old.key == new.key and most_careful((old, new)) in self.sources:
+        if old.key == new.key and most_careful((old, new)) in self.read().sources:
             self.end((), (as_armed(new),))
 
     def apply(self) -> None:
         """Reopen the routes whose demands have changed."""
-        demands = self._read()  # also during a change: an entry that goes again before its end has added its line
+        demands = self.read()  # also during a change: an entry that goes again before its end has added its line
         if not self._is_changing and demands is not self._applied:
             self._applied = demands
             for holder in tuple(self._holders):

@@ -5,6 +5,7 @@ Values are as in the ROS 2 middleware interface (rmw/types.h, Jazzy); the named 
 
 from __future__ import annotations
 
+from operator import attrgetter
 from typing import TYPE_CHECKING, Literal
 
 import msgspec
@@ -14,7 +15,7 @@ from rsb_bridge.model.limits import DEPTH, QOS_TIME
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Collection, Sequence
 
     from rsb_bridge.model.keep import Keep
 
@@ -141,6 +142,10 @@ def qos_problem(qos: Qos, *, depth_known: bool = True) -> str:
     return ""
 
 
+_POLICIES = attrgetter("reliability", "durability", "deadline", "lifespan", "liveliness", "liveliness_lease_duration")
+"""Those that decide whether two endpoints match, of a `Qos`."""
+
+
 def match_publishers(offered: Sequence[Qos]) -> Qos:
     """Return the QoS that ``auto`` means: the strictest that a subscription to all these publishers can ask for.
 
@@ -152,13 +157,14 @@ def match_publishers(offered: Sequence[Qos]) -> Qos:
     """
     if not offered:
         return Qos()
+    reliability, durability, deadline, lifespan, liveliness, lease = zip(*map(_POLICIES, offered), strict=True)
     return Qos(
-        reliability="best_effort" if any(qos.reliability == "best_effort" for qos in offered) else "reliable",
-        durability="transient_local" if all(qos.durability == "transient_local" for qos in offered) else "volatile",
-        deadline=_loosest([qos.deadline for qos in offered]),
-        lifespan=_loosest([qos.lifespan for qos in offered]),
-        liveliness="automatic" if any(qos.liveliness == "automatic" for qos in offered) else "manual_by_topic",
-        liveliness_lease_duration=_loosest([qos.liveliness_lease_duration for qos in offered]),
+        reliability="best_effort" if "best_effort" in reliability else "reliable",
+        durability="volatile" if "volatile" in durability else "transient_local",
+        deadline=_loosest(deadline),
+        lifespan=_loosest(lifespan),
+        liveliness="automatic" if "automatic" in liveliness else "manual_by_topic",
+        liveliness_lease_duration=_loosest(lease),
     )
 
 
@@ -168,12 +174,13 @@ def match_subscriptions(requested: Sequence[Qos]) -> Qos:
     Args:
         requested: at least one; depths are not known to others and do not matter.
     """
+    reliability, durability, deadline, _, liveliness, lease = zip(*map(_POLICIES, requested), strict=True)
     return Qos(
-        reliability="reliable" if any(qos.reliability == "reliable" for qos in requested) else "best_effort",
-        durability="transient_local" if any(qos.durability == "transient_local" for qos in requested) else "volatile",
-        deadline=_strictest([qos.deadline for qos in requested]),
-        liveliness="manual_by_topic" if any(qos.liveliness == "manual_by_topic" for qos in requested) else "automatic",
-        liveliness_lease_duration=_strictest([qos.liveliness_lease_duration for qos in requested]),
+        reliability="reliable" if "reliable" in reliability else "best_effort",
+        durability="transient_local" if "transient_local" in durability else "volatile",
+        deadline=_strictest(deadline),
+        liveliness="manual_by_topic" if "manual_by_topic" in liveliness else "automatic",
+        liveliness_lease_duration=_strictest(lease),
     )
 
 
@@ -221,11 +228,11 @@ def clamp_qos(qos: Qos) -> Qos:
     return msgspec.structs.replace(qos, depth=min(max(qos.depth, 0), int(DEPTH.high)), **clamped)
 
 
-def _loosest(seconds: list[float]) -> float:
+def _loosest(seconds: Collection[float]) -> float:
     return 0.0 if 0.0 in seconds else max(seconds)
 
 
-def _strictest(seconds: list[float]) -> float:
+def _strictest(seconds: Collection[float]) -> float:
     return min(filter(None, seconds), default=0.0)
 
 

@@ -97,9 +97,9 @@ class TopicKey:
             return False  # ROS's own
         return self.kinds == "all" or (self.kinds == "topics") == (kind == "topic")
 
-    def allows(self, value: float | None) -> bool:
-        """Whether a number is in the key's range, 0 where that is allowed, or None."""
-        return self.limits is None or value is None or value in self.limits or (self.zero and value == 0)
+    def allows(self, value: float) -> bool:
+        """Whether a number is in the key's range, or 0 where that is allowed."""
+        return self.limits is None or value in self.limits or (self.zero and value == 0)
 
     def help_of(self, kind: Kind) -> str:
         return (kind != "topic" and self.help_of_calls) or self.help

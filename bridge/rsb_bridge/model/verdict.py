@@ -220,6 +220,8 @@ class Verdict:
         Args:
             wall: s since the epoch, by which screens count the age of a message, or None for `now`.
         """
+        if LASTING not in self.text:
+            return self.text
         wall = now if wall is None else wall
         lasting = 0.0 if self.since is None else now - self.since
         return self.text.replace(LASTING, duration(floor(wall) - floor(wall - lasting)))

@@ -120,14 +120,15 @@ def check_libraries(environment: Mapping[str, str], prefix: Path = Path(sys.pref
     Raises:
         RosError: they are another environment's; the message names both.
     """
-    prefix = prefix.resolve()
-    if not environment.get(_BOOTSTRAPPED) or not any(prefix.glob(f"lib/python*/site-packages/{_LIBRARIES}")):
+    # Resolved, as an environment may be made of links to another one's packages.
+    ours = {each.resolve() for each in prefix.glob(f"lib/python*/site-packages/{_LIBRARIES}")}
+    if not environment.get(_BOOTSTRAPPED) or not ours:
         return
     folders = [Path(each).resolve() for each in environment.get("LD_LIBRARY_PATH", "").split(":") if each]
     found = [each for each in folders if each.name == _LIBRARIES]
-    if found and not any(each.is_relative_to(prefix) for each in found):
+    if found and ours.isdisjoint(found):
         theirs = found[0].parents[3]  # …/lib/python3.11/site-packages
-        raise RosError(LibrariesProblem.OTHERS(ours=prefix, theirs=theirs, variable=_BOOTSTRAPPED))
+        raise RosError(LibrariesProblem.OTHERS(ours=prefix.resolve(), theirs=theirs, variable=_BOOTSTRAPPED))
 
 
 class MemoryProblem(Wording):

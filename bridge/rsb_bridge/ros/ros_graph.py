@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping, Sequence
 
     from rsb_bridge.model.session import Kind
-    from rsb_bridge.ros.ros_interface import Endpoint, RosInterface, RouteEnds
+    from rsb_bridge.ros.ros_interface import Endpoint, RosInterface
 
 Asked = TypeVar("Asked", bound="Hashable")
 
@@ -146,7 +146,7 @@ def is_mistyped(name: str, other: str) -> bool:
     here, there = name.split("/"), other.split("/")
     pairs = enumerate(zip(here, there, strict=False))
     common = next((at for at, (one, another) in pairs if one != another), 1)
-    return bool(other) and are_alike("/" + "/".join(here[common:]), "/" + "/".join(there[common:]))
+    return are_alike("/" + "/".join(here[common:]), "/" + "/".join(there[common:]))
 
 
 async def most_similar(name: str, names: Iterable[str], ends: Callable[[str], Sequence[Endpoint]]) -> str:
@@ -175,11 +175,6 @@ def topics_of(ros: RosInterface) -> list[TopicInfo]:
         qos = match_publishers([e.qos for e in publishers]) if publishers else None
         found.append(TopicInfo(topic, type_name, type_hash, qos, len(publishers), len(subscriptions)))
     return found
-
-
-def type_hint(ros: RouteEnds, topic: str) -> tuple[str, str]:
-    """Return the type of a topic's endpoints and its hash, or empty strings if they disagree or are missing."""
-    return agreed_type([*ros.publishers(topic), *ros.subscriptions(topic)])
 
 
 def agreed_type(endpoints: Iterable[Endpoint]) -> tuple[str, str]:

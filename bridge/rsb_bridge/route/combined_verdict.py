@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import msgspec
 
@@ -15,7 +15,7 @@ from rsb_bridge.model.verdict import FINE, Cause, Verdict, worse
 from rsb_bridge.wire.records import VerdictRecord
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable
+    from collections.abc import Collection, Iterable
 
     from rsb_bridge.model.faults import PathFault
     from rsb_bridge.ros.ros_interface import Endpoint
@@ -193,11 +193,11 @@ def who_publish(nodes: Collection[str]) -> str:
     return f"{named(nodes)} {'publishes' if len(nodes) == 1 else 'publish'}"
 
 
-def nodes_by(endpoints: Iterable[Endpoint], what: Callable[[Endpoint], str]) -> dict[str, set[str]]:
-    """Group endpoints' nodes by a property of the endpoint. Endpoints without it are left out."""
+def nodes_by(what: Literal["type_name", "type_hash"], endpoints: Iterable[Endpoint]) -> dict[str, set[str]]:
+    """Group endpoints' nodes by an attribute of the endpoint. Endpoints without it are left out."""
     nodes: dict[str, set[str]] = {}
     for each in endpoints:
-        if key := what(each):
+        if key := getattr(each, what):
             nodes.setdefault(key, set()).add(each.node)
     return dict(sorted(nodes.items()))
 

@@ -15,7 +15,7 @@ from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.ros.announcements import BY_HAND
-from rsb_bridge.ros.ros_graph import Sought, agreed_type, is_mistyped, type_hint
+from rsb_bridge.ros.ros_graph import Sought, agreed_type, is_mistyped
 from rsb_bridge.route.combined_verdict import NODE_LENGTH, NODES, node_names
 from rsb_bridge.route.loop_filter import publishers_besides
 
@@ -220,35 +220,35 @@ class Listeners:
 
     def look_without_publisher(self) -> None:
         """Find the type that the subscriptions have, while nothing is published here, and who else drives."""
-        self.hint = type_hint(self._route.ends, self._route.remote_topic)
+        ends, topic = self._route.ends, self._route.remote_topic
+        self.hint = agreed_type([*ends.publishers(topic), *ends.subscriptions(topic)])
         if self._flow.drivers.are_watched or self.further:
             self._look_for_drivers()
 
     def look_for_publishers(self, *, sends: bool) -> None:
-        """Find the nodes that publish it here, unless the sending side has a publisher."""
+        """Find who publishes it here, or else a topic of its type whose name may be written for its own.
+
+        Args:
+            sends: whether the sending side has a publisher: then nothing is looked for.
+        """
         route, (type_name, _) = self._route, self.hint
         moves = self._flow.drivers.are_watched or may_move(type_name, route.topic, route.remote_topic)
         if sends or moves or type_name in OF_MANY or not route.purpose.in_graph:
             self.published = PublishedAs()
-        else:
-            self._look_for(type_name or full_type(route.proposal.type))
-
-    def _look_for(self, type_name: str) -> None:
-        """Find the nodes that publish it here, or else a topic of this type whose name may be written for its own."""
-        route = self._route
-        if found := self._nodes_that_publish(route.remote_topic):
+        elif found := self._nodes_that_publish(route.remote_topic):
             self.published = PublishedAs(found)
-            return
-
-        # Its next tick looks again, if nobody there has begun to publish it meanwhile.
-        near = route.context.similar_topics.of(Sought(route.remote_topic, type_name), route.judge_again)
-        found = self._nodes_that_publish(near, type_name) if is_mistyped(route.remote_topic, near) else ()
-        self.published = PublishedAs(found, near if found else "")
+        else:
+            type_name = type_name or full_type(route.proposal.type)
+            # Its next tick looks again, if nobody there has begun to publish it meanwhile.
+            near = route.context.similar_topics.of(Sought(route.remote_topic, type_name), route.judge_again)
+            if near and is_mistyped(route.remote_topic, near):
+                found = self._nodes_that_publish(near, type_name)
+            self.published = PublishedAs(found, near if found else "")
 
     def _nodes_that_publish(self, topic: str, type_name: str = "") -> tuple[str, ...]:
         """Name nodes besides bridges that publish a topic, with this type if it is known."""
-        found = (each for each in self._route.ends.publishers(topic) if not type_name or each.type_name == type_name)
-        return node_names(each for each in found if not is_bridge(each.node))
+        publishers = self._route.ends.publishers(topic)
+        return node_names(each for each in publishers if type_name in ("", each.type_name) and not is_bridge(each.node))
 
     def look(self) -> None:
         """Find the subscriptions of what is published here, unless they are the same ones, most likely."""

@@ -146,8 +146,8 @@ class SourceTable:
         self._sort_out()
 
     def _sort_out(self) -> None:
-        accepted = ((gid, number) for gid, number in self._numbers.items() if 0 <= number < self._accepted)
-        self.flags = {gid: number << SOURCE_SHIFT for gid, number in accepted}
+        numbers = self._numbers.items()
+        self.flags = {gid: number << SOURCE_SHIFT for gid, number in numbers if 0 <= number < self._accepted}
 
     def number_of(self, gid: bytes) -> int:
         """Return the number of the source of a publisher's messages, or `HELD` or `LEFT_OUT`."""
@@ -171,8 +171,10 @@ class SourceTable:
     @property
     def closes_loop(self) -> bool:
         """Whether all messages that the route could carry were in the peer's domain before."""
-        others = any(source.live for source in self.sources) or self.unexplained or self.too_far
-        return self.one_place or (any(each.live for each in self.echoes) and not others)
+        return self.one_place or (
+            any(each.live for each in self.echoes)
+            and not (self.unexplained or self.too_far or any(source.live for source in self.sources))
+        )
 
     @property
     def full(self) -> bool:

@@ -70,7 +70,6 @@ class Receiver:
         # The last ones of the present opening, and what the report was made of.
         self._last_counts: tuple[object, ...] = ()
         self._last_report: ReceivedReport | None = None
-        self._last_words: tuple[object, ...] = ()
         self.rest = RestAfterArming(self.flow)
         self.check = MessageCheck(route.context, route.peer.budget.checks)
         self.path = IncomingPath(self.flow, self.rest, self.check)
@@ -235,14 +234,14 @@ class Receiver:
         """Open the channel once there is a publisher, and look for subscribers."""
         if not self.outputs:
             self.listeners.look_without_publisher()
-            self._look_for_publishers()
-            return
-        if self.route.life.accepted and self.carried.channel is None:
-            # While it is paused, too: the other side may not know yet, and frames without a channel hold up all others.
-            self.route.peer.open_channel(self.route)
+        else:
+            if self.route.life.accepted and self.carried.channel is None:
+                # While it is paused, too: the other side may not know yet, and frames without a channel hold up all
+                # others.
+                self.route.peer.open_channel(self.route)
+            self.listeners.look()
+            self.lazy.tell()
         self._look_for_publishers()
-        self.listeners.look()
-        self.lazy.tell()
 
     def _look_for_publishers(self) -> None:
         report = self.facts.report_now
@@ -414,14 +413,6 @@ class Receiver:
     def _report(self) -> ReceivedReport | None:
         """Return what the peer does not know beside the figures, or None if it knows all."""
         verdict, audience, listeners = self.route.verdict(for_peer=True), self.flow.audience, self.listeners
-        came_before, drivers = self.facts.came_before, self.flow.drivers.here
-        words = (
-            verdict, audience, self.lazy.wanted, listeners.subscriber_qos, listeners.hint, listeners.published,
-            came_before, self.path.malformed, drivers,
-        )  # fmt: skip
-        if self._last_report is not None and words == self._last_words:
-            return None
-        self._last_words = words
         report = ReceivedReport(
             route=self.route.id,
             subscribers=audience.count,
@@ -434,7 +425,7 @@ class Receiver:
             publishers=listeners.published.nodes,
             published_as=listeners.published.near,
             deaf=tuple(DeafRecord(each.node, each.cause, each.reason) for each in audience.deaf),
-            came_before=came_before,
+            came_before=self.facts.came_before,
             malformed=self.path.malformed,
             drivers=self.flow.drivers.records,
         )

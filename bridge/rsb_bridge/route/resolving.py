@@ -17,7 +17,7 @@ from rsb_bridge.model.qos import match_publishers
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.ros_graph import Sought, are_alike
-from rsb_bridge.route.combined_verdict import nodes_by, who_publish
+from rsb_bridge.route.combined_verdict import node_names, nodes_by, who_publish
 from rsb_bridge.route.listeners import PublishedAs
 
 if TYPE_CHECKING:
@@ -73,6 +73,7 @@ class Resolver:
         self.published_there = PublishedAs()  # on the receiving side
         self.hint = TypeVersion()  # the type that the topic has on the receiving side
         self.publisher_qos: Qos | None = None  # that all publishers offer, or None without any
+        self.publisher_nodes: tuple[str, ...] = ()  # some of their nodes
         self.unresolved: UnresolvedError | None = None  # the reason why type or QoS is unknown
         self._route, self._context, self._proposal = route, route.context, route.proposal
         self._used = TypeVersion()
@@ -83,7 +84,7 @@ class Resolver:
 
     def update(self, publishers: Sequence[Endpoint]) -> None:
         """Take the topic's present publishers."""
-        self._publishers = publishers
+        self._publishers, self.publisher_nodes = publishers, node_names(publishers)
         if publishers:
             self._nodes = frozenset([each.node for each in publishers])
         self.publisher_qos = match_publishers([each.qos for each in publishers]) if publishers else None
@@ -216,7 +217,7 @@ def choose_type(
     Raises:
         UnresolvedError: the publishers have no type that can be sent.
     """
-    types = nodes_by(publishers, lambda publisher: publisher.type_name)
+    types = nodes_by("type_name", publishers)
     if wanted and types and wanted not in types:
         if used.name == wanted:
             raise _clash(f"publishers send {_named(types)} now, and no longer {wanted}: correct them, or the type")
@@ -224,7 +225,7 @@ def choose_type(
     name = wanted or (used.name if used.name in types else next(iter(types), hint.name))
     if not wanted and len(types) > 1 and name != used.name:
         raise _clash(f"publishers disagree on the type: {_named(types)}: set the topic's type")
-    versions = nodes_by((each for each in publishers if each.type_name == name), lambda each: each.type_hash)
+    versions = nodes_by("type_hash", [each for each in publishers if each.type_name == name])
     if len(versions) > 1:  # DDS compares names only, and would mix their messages
         raise _clash(f"publishers have different versions of {name}: {_named(versions)}: install one version")
     if versions or not name:
@@ -238,7 +239,7 @@ def left_out(publishers: Sequence[Endpoint], wanted: str, sent: str) -> str:
 
     If the session names the type, publishers of other types are left out on purpose.
     """
-    types = nodes_by(publishers, lambda each: each.type_name)
+    types = nodes_by("type_name", publishers)
     others = {name: nodes for name, nodes in types.items() if name != sent}
     if wanted or not others:
         return ""

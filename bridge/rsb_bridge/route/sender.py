@@ -19,7 +19,7 @@ from rsb_bridge.ros.publication_numbers import Untaken
 from rsb_bridge.ros.ros_interface import RosError, TopicSpec
 from rsb_bridge.route.arming import without_history
 from rsb_bridge.route.catching_up import LATE, Backlog
-from rsb_bridge.route.combined_verdict import lasting, node_names, record_of
+from rsb_bridge.route.combined_verdict import lasting, record_of
 from rsb_bridge.route.half import Carried
 from rsb_bridge.route.health import Health
 from rsb_bridge.route.lateness import SendersDelay, delay_of_sender
@@ -72,7 +72,6 @@ class Sender:
         # The last ones of the present opening, and what the report was made of.
         self._last_counts: SentCounts | None = None
         self._last_report: SentReport | None = None
-        self._last_words: tuple[object, ...] = ()
         self._told: Publishers | None = None  # of the publishers, to the peer
         self.counts = RouteLedger()
         self._described: Describe | None = None
@@ -469,18 +468,13 @@ class Sender:
     def _report(self) -> SentReport | None:
         """Return what the peer does not know beside the counts, or None if it knows all."""
         verdict = self.route.verdict(for_peer=True)
-        endpoints, qos, drivers = self.carried.endpoints, self.resolver.publisher_qos, self.flow.drivers.here
-        words = verdict, endpoints, qos, self.subscription.receives, drivers
-        if self._last_report is not None and words == self._last_words:
-            return None
-        self._last_words = words
         report = SentReport(
             route=self.route.id,
-            publishers=len(endpoints),
-            publisher_qos=qos,
+            publishers=len(self.carried.endpoints),
+            publisher_qos=self.resolver.publisher_qos,
             subscribed=self.subscription.receives,
             verdict=record_of(verdict),
-            nodes=node_names(endpoints),
+            nodes=self.resolver.publisher_nodes,
             drivers=self.flow.drivers.records,
         )
         if report == self._last_report:

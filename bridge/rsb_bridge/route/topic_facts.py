@@ -13,7 +13,6 @@ from rsb_bridge.model.qos import incompatible
 from rsb_bridge.model.snapshot import Ledger, Stage
 from rsb_bridge.model.verdict import EXPIRES, LASTING, Cause, LinkCause
 from rsb_bridge.route.blocking_rules import stages_with_link
-from rsb_bridge.route.combined_verdict import node_names
 from rsb_bridge.route.crossing import Crossing
 from rsb_bridge.route.half import Facts
 from rsb_bridge.route.lateness import QUEUE, REPORTED_LATELY, WAY, Late
@@ -258,7 +257,7 @@ class SenderFacts(TopicFacts):
 
     def ends(self) -> tuple[tuple[str, ...], Qos | None, Qos | None]:
         asked = self.report.subscriber_qos if self.report else None
-        return node_names(self.carried.endpoints), self.resolver.publisher_qos, asked
+        return self.resolver.publisher_nodes, self.resolver.publisher_qos, asked
 
     @property
     def present_type(self) -> TypeVersion:

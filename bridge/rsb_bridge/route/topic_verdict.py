@@ -95,11 +95,9 @@ def _several(half: TopicFacts, _: Crossing) -> Verdict | None:
 
 
 def _shared(half: SenderFacts, _: Crossing) -> Verdict | None:
-    if not half.route.meter.regular or half.carried.type_name in OF_MANY or half.flow.drivers.are_watched:
-        return None
-    type_name = half.carried.type_name
+    type_name, drivers = half.carried.type_name, half.flow.drivers
     own = [each for each in half.carried.endpoints if each.type_name == type_name and not is_bridge(each.node)]
-    if len(own) < 2:
+    if len(own) < 2 or type_name in OF_MANY or drivers.are_watched or not half.route.meter.regular:
         return None
     text = f"{_plural(own, 'publishes', 'publish')} it: subscribers get all; stop those that are not meant"
     return Verdict(State.OK, Cause.SEVERAL_PUBLISHERS, text)
@@ -231,9 +229,19 @@ def _why_silent(half: SenderFacts) -> tuple[Cause, str]:
     if half.carried.endpoints:
         # A publisher that has just come has had no time for its first message.
         stopped = [each for each in half.carried.endpoints if each.gid not in half.health.stop.new] if ever else []
-        who, silent = (stopped, STOPPED_PUBLISHING) if stopped else (half.carried.endpoints, PUBLISHED_NOTHING)
-        return Cause.PUBLISHER_SILENT, _plural(who, *silent)
+        return (Cause.PUBLISHER_SILENT, _plural(stopped, *STOPPED_PUBLISHING)) if stopped else _nothing_yet(half)
     return Cause.PUBLISHER_GONE if ever else _nobody(half), _no_publisher(half, gone=ever)
+
+
+def _nothing_yet(half: SenderFacts) -> tuple[Cause, str]:
+    """Explain that nothing has come of the present publishers."""
+    endpoints, verbs = half.carried.endpoints, NOTHING_SINCE_OPENED if half.came_before else PUBLISHED_NOTHING
+    if half.flow.qos and not half.flow.qos.latched and all(each.qos.latched for each in endpoints):
+        verbs = LEFT_OUT_LATCHED  # they may well have published, before the subscription
+    elif not half.came_before and _may_get_lost(half):
+        remedy = _REMEDY_FOR_LARGE.format(variable=profile_variable(os.environ))
+        return Cause.PUBLISHER_UNHEARD, f"{_plural(endpoints, *MAY_BE_LOST)}: {remedy}"
+    return Cause.PUBLISHER_SILENT, _plural(endpoints, *verbs)
 
 
 def _nobody(half: SenderFacts) -> Cause:
@@ -289,14 +297,7 @@ def _unsent(half: SenderFacts, crossing: Crossing) -> Verdict | None:
     if half.subscription.is_unmatched:
         text = _unmatched(half.carried.endpoints, refused=half.subscription.refuses)
         return Verdict(State.UNHEARD, Cause.UNMATCHED, text)
-    verbs = NOTHING_SINCE_OPENED if half.came_before else PUBLISHED_NOTHING
-    if half.flow.qos and not half.flow.qos.latched and all(each.qos.latched for each in half.carried.endpoints):
-        verbs = LEFT_OUT_LATCHED  # they may well have published, before the subscription
-    elif not half.came_before and _may_get_lost(half):
-        remedy = _REMEDY_FOR_LARGE.format(variable=profile_variable(os.environ))
-        text = f"{_plural(half.carried.endpoints, *MAY_BE_LOST)}: {remedy}"
-        return Verdict(State.WAITING, Cause.PUBLISHER_UNHEARD, text)
-    return Verdict(State.WAITING, Cause.PUBLISHER_SILENT, _plural(half.carried.endpoints, *verbs))
+    return Verdict(State.WAITING, *_nothing_yet(half))
 
 
 def _may_get_lost(half: SenderFacts) -> bool:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 _TOLERANCE = 2.0  # s by which the beginning of a state may be wrong, because the wall clock is adjusted
 # Causes of one fault: DDS lists a publisher for up to 20 s after its process was killed.
-_ONE_FAULT = frozenset({Cause.PUBLISHER_SILENT, Cause.PUBLISHER_GONE})
+_ONE_FAULT = frozenset({Cause.PUBLISHER_SILENT, Cause.PUBLISHER_UNHEARD, Cause.PUBLISHER_GONE})
 # Unlike in `model.faults`, WAITING is a fault here: an operator may acknowledge what a topic waits for.
 _NO_FAULT = frozenset({State.OK, *(state for state in State if state.is_wanted)})
 

@@ -298,7 +298,7 @@ class Publishing(MovingPart):
             LinkError: it has to be armed, and is not; or it may not be driven.
         """
         now = self._context.now()
-        demand = self._context.demands.of("topic", topic, type_name)
+        demand = self._context.demands.read().of("topic", topic, type_name)
         requiring = [route for route in routes if route.route.arming.required]
         refusals = [why_not_by_hand(route.route, now) for route in requiring]
         armed = [route for route, why in zip(requiring, refusals, strict=True) if why is None]
@@ -332,7 +332,7 @@ class Publishing(MovingPart):
             LinkError: one is beyond them, and is not to be reduced; or the type has no velocity.
         """
         topic = command.topic
-        demand = self._context.demands.of("topic", topic, type_name) or NO_DEMAND
+        demand = self._context.demands.read().of("topic", topic, type_name) or NO_DEMAND
         found = [(route.route.arming.limits, route.route.arming.limited_by) for route in routes]
         found.append((demand.limits, tuple(map(self._context.demands.origin, demand.limited_by))))
         limits = smallest_limits(each for each, _ in found)
@@ -437,7 +437,7 @@ class Publishing(MovingPart):
             qos = match_subscriptions(requested) if requested else Qos()
         # Subscriptions of either reliability hear a reliable publisher.
         qos = msgspec.structs.replace(qos, reliability="reliable", depth=1 if qos.latched else _DEPTH)
-        demand = self._context.demands.of("topic", topic, type_name)
+        demand = self._context.demands.read().of("topic", topic, type_name)
         is_armed = any(route.route.arming.required for route in routes) or (demand is not None and demand.arm)
         return without_history(qos) if is_armed else qos
 

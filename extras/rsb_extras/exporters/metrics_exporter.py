@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from typing import TYPE_CHECKING
 
-from rsb_bridge.feature_api import EnginePart, Level
+from rsb_bridge.feature_api import EnginePart, Level, Unable
 from rsb_extras.exporters import METRICS
 from rsb_extras.exporters.exporter_codes import ExporterCode
 from rsb_extras.exporters.rules import host_and_port
@@ -107,7 +107,7 @@ class _Service:
                     server.turn()
 
     def _failed(self, error: Exception) -> None:
-        self._tell(Level.ERROR, f"internal error, please report it: {error}")
+        self._tell(Level.ERROR, Unable.INTERNAL(problem=error))
 
     def _tell(self, level: Level, text: str) -> None:
         self._context.events.add(level, ExporterCode.METRICS, f"metrics {self._address}: {text}")

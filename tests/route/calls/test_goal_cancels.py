@@ -36,7 +36,7 @@ def make_half(make_context: Callable[..., Context]) -> Callable[..., Provider]:
     def make(on_end: str | None = "cancel", there: str = "") -> Provider:
         context = make_context(armed=(ArmedName("/dock", on_end=on_end),))
         half = providing(context, arm=True)
-        half.route.arming.own = context.demands.of("action", "/dock") or half.route.arming.own
+        half.route.arming.own = context.demands.read().of("action", "/dock") or half.route.arming.own
         half.route.arming.peer_on_end = there
         lanes = SEND_GOAL, CANCEL_GOAL, GET_RESULT
         for lane in lanes:

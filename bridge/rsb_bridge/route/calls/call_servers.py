@@ -92,7 +92,7 @@ def provision(
 
 
 def _service_entry(ros: RosInterface, servers: Sequence[Endpoint], service: str, wanted: str) -> LaneEntry:
-    types = nodes_by(servers, lambda each: each.type_name)
+    types = nodes_by("type_name", servers)
     if wanted and any(each != wanted for each in types):
         raise UnavailableError(
             Cause.TYPE_CONFLICT, f"{service} is served as {_with_nodes(types)}, not as {wanted}: correct the type"
@@ -101,7 +101,7 @@ def _service_entry(ros: RosInterface, servers: Sequence[Endpoint], service: str,
         text = f"the servers of {service} disagree on the type: {_with_nodes(types)}: stop one of them"
         raise UnavailableError(Cause.TYPE_CONFLICT, text)
     (type_name,) = types
-    versions = nodes_by(servers, lambda each: each.type_hash)
+    versions = nodes_by("type_hash", servers)
     if len(versions) > 1:
         text = f"the servers of {service} have different versions of {type_name}: {_with_nodes(versions)}: install one"
         raise UnavailableError(Cause.TYPE_CONFLICT, text)
@@ -189,7 +189,7 @@ def others_called(
 
 
 def _called_as_another_type(callers: Iterable[Endpoint], name: str, entry: LaneEntry) -> Trouble | None:
-    types = nodes_by([each for each in callers if each.type_name != entry.type], lambda each: each.type_name)
+    types = nodes_by("type_name", [each for each in callers if each.type_name != entry.type])
     if not types:
         return None
     text = f"{name} is {entry.type}, but is called as {_with_nodes(types)}, which is not answered: correct the type"
