@@ -130,7 +130,9 @@ class VolatileTopic:
         size, waiting = len(content) + MESSAGE_COST, self._waiting
         is_full = len(waiting) >= self._depth
         memory = waiting[0] if is_full else self._free[-1] if self._free else 0
-        if size <= memory and size - memory <= self._asks_beyond - self._held and self._successor is None:  # nothing more is held
+        if (
+            size <= memory and size - memory <= self._asks_beyond - self._held and self._successor is None
+        ):  # nothing more is held
             waiting.append(memory)
             if is_full:
                 waiting.popleft()
