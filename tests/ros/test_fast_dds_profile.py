@@ -2,18 +2,29 @@
 
 from __future__ import annotations
 
+import json
 import os
+import signal
 import subprocess
 import sys
+from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 
 from tests.support.captured import captured, own_lines
+from tests.support.waiting import eventually
 
 from rsb_bridge.ros import memory
 
-_PROFILE = Path(__file__).parents[2] / "configs" / "fastdds-large-messages.xml"
-_HISTORIES = Path(memory.__file__).with_name("fast_dds_histories.xml")
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+_ROOT = Path(__file__).parents[2]
+_PROFILE = _ROOT / "configs" / "fastdds-large-messages.xml"
+_HISTORIES, _PROMPT_WRITER = (
+    Path(memory.__file__).with_name(f"fast_dds_{name}.xml") for name in ("histories", "prompt_writer")
+)
 _SEGMENT = 32 * 1024 * 1024
 _NODE = """
 import sys, rclpy
@@ -28,43 +39,91 @@ rclpy.shutdown()
 """
 
 _READER = """
-import sys, time, rclpy
+import os, sys, threading, rclpy
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 rclpy.init(domain_id=int(sys.argv[1]))
 node = rclpy.create_node("reader")
-subscription = node.create_subscription(String, "/asked", lambda _: None, 10)
+heard = dict.fromkeys(sys.argv[2:], 0)
+def hear(name):
+    def heard_one(_):
+        heard[name] += 1
+    return heard_one
+qos = QoSProfile(depth=5000)
+subscriptions = [node.create_subscription(String, name, hear(name), qos, raw=True) for name in heard]
+threading.Thread(target=rclpy.spin, args=(node,), daemon=True).start()
 print("ready", flush=True)
-sys.stdin.read()
+for line in sys.stdin:
+    print(min(heard.values()), flush=True)
+os._exit(0)
 """
 _WRITER = """
-import sys, time, rclpy
-from rclpy.duration import Duration
-from std_msgs.msg import String
-rclpy.init(domain_id=int(sys.argv[1]))
-node = rclpy.create_node("writer")
-publisher = node.create_publisher(String, "/asked", 10)
-while not publisher.get_subscription_count():
-    time.sleep(0.01)
-for number in range(4):
-    began = time.monotonic()
-    publisher.publish(String(data="message"))
-    publisher.wait_for_all_acked(Duration(seconds=10))
-    print("took", time.monotonic() - began)
+import json, sys, time
+from tests.support.waiting import eventually
+from rsb_bridge.cdr.known_types import STRING, STRING_HASH, stamped_string
+from rsb_bridge.model.qos import Qos
+from rsb_bridge.ros.node import RosNode
+from rsb_bridge.ros.ros_interface import TopicSpec
+node = RosNode(int(sys.argv[1]), "writer")
+node.start()
+publishers = {
+    name: node.advertise(TopicSpec(name, STRING, STRING_HASH, Qos(*qos)), "link")
+    for name, qos in json.loads(sys.argv[2]).items()
+}
+eventually(lambda: all(each.subscriber_count for each in publishers.values()))
+print("there", flush=True)
+for line in sys.stdin:
+    for _ in range(int(line)):
+        for each in publishers.values():
+            each.publish(stamped_string(100))
+    print(line.strip(), flush=True)
+    began, took = time.monotonic(), {}
+    while len(took) < len(publishers):
+        for name, each in publishers.items():
+            if name not in took and each.acknowledged:
+                took[name] = time.monotonic() - began
+        time.sleep(0.005)
+    print(json.dumps(took), flush=True)
+node.stop()
 """
+_RELIABLE, _LATCHED = ("reliable", "volatile", "keep_last"), ("reliable", "transient_local", "keep_last")
+
+
+@contextmanager
+def _python(code: str, *arguments: str) -> Iterator[Any]:
+    command = [sys.executable, "-c", code, *arguments]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=_ROOT) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline()
+        yield process
+        process.communicate()
+
+
+def _ask(process: Any, line: object = "") -> Any:
+    process.stdin.write(f"{line}\n")
+    process.stdin.flush()
+    return _answer(process)
+
+
+def _answer(process: Any) -> Any:
+    return json.loads(process.stdout.readline())
 
 
 def test_its_histories_are_the_bridges_own() -> None:
-    """A user's profile for large messages replaces the one that the bridge brings."""
+    """A user's profile for large messages replaces those that the bridge brings, and knows no topics."""
 
     def histories(path: Path) -> dict[str, str]:
+        found = (
+            each for each in ElementTree.parse(path).getroot() if each.tag.endswith(("data_writer", "data_reader"))
+        )
         return {
-            each.attrib["profile_name"]: ElementTree.canonicalize(ElementTree.tostring(each), strip_text=True)
-            for each in ElementTree.parse(path).getroot()
-            if each.tag.endswith(("data_writer", "data_reader"))
+            each.tag.split("}")[-1]: "".join(
+                ElementTree.canonicalize(ElementTree.tostring(part), strip_text=True) for part in each
+            )
+            for each in found
         }
 
-    assert len(histories(_HISTORIES)) == 2
-    assert histories(_PROFILE) == histories(_HISTORIES)
+    assert histories(_HISTORIES) != histories(_PROFILE) == histories(_HISTORIES) | histories(_PROMPT_WRITER)
 
 
 def test_fast_dds_takes_the_profile(spare_domains: int) -> None:
@@ -76,16 +135,33 @@ def test_fast_dds_takes_the_profile(spare_domains: int) -> None:
     assert 0.9 * _SEGMENT < max(segments) < 1.1 * _SEGMENT
 
 
-def test_subscriptions_are_asked_soon(spare_domains: int) -> None:
-    """By Fast DDS's default, each 3 s what they lack."""
-    environ = os.environ | {memory.profile_variable(os.environ): str(_HISTORIES), "RMW_FASTRTPS_USE_QOS_FROM_XML": "1"}
-    command = [sys.executable, "-c", _READER, str(spare_domains)]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as reader:
-        assert reader.stdin is not None
-        assert reader.stdout is not None
-        assert reader.stdout.readline() == b"ready\n"
-        ran = captured(sys.executable, "-c", _WRITER, str(spare_domains), env=environ, check=True)
-        reader.stdin.close()
-    # The first one may wait for discovery.
-    took = [float(line.split()[1]) for line in ran.stdout.splitlines() if line.startswith("took ")]
-    assert min(took[1:]) < 1.5
+def test_readers_are_asked_soon_what_they_lack(spare_domains: int) -> None:
+    """By Fast DDS's default, each 3 s; where a writer keeps few messages, or for late joiners, sooner than others."""
+    writers = {"/deep": (*_RELIABLE, 2000), "/shallow": (*_RELIABLE, 10), "/latched": (*_LATCHED, 2000)}
+    with (
+        _python(_READER, str(spare_domains), *writers),
+        _python(_WRITER, str(spare_domains), json.dumps(writers)) as sends,
+    ):
+        rounds = []
+        for _ in range(5):
+            _ask(sends, 1)
+            rounds.append(_answer(sends))
+    # A busy machine makes them later, and the least is what the profile says.
+    least = {name: min(took[name] for took in rounds) for name in writers}
+    assert least["/shallow"] < 0.4
+    assert least["/latched"] < 0.4
+    assert 0.4 < least["/deep"] < 1.5
+
+
+def test_reader_that_stood_still_gets_all_that_is_kept(spare_domains: int) -> None:
+    """It has lost most, as its port in shared memory holds 512 messages, and asks for them."""
+    writers = {"/deep": (*_RELIABLE, 2000)}
+    with (
+        _python(_READER, str(spare_domains), *writers) as hears,
+        _python(_WRITER, str(spare_domains), json.dumps(writers)) as sends,
+    ):
+        hears.send_signal(signal.SIGSTOP)
+        _ask(sends, 1500)
+        hears.send_signal(signal.SIGCONT)
+        eventually(lambda: _ask(hears) == 1500)
+        _answer(sends)

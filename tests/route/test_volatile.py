@@ -251,6 +251,24 @@ def test_healthy_subscribers_cost_little() -> None:
     assert burst.pools[0].asked < 200
 
 
+def test_large_messages_are_not_asked_about_one_by_one() -> None:
+    burst = Burst()
+    burst.publish(1_000, 100_000, 30.0)
+    assert burst.pools[0].asked < 150
+    assert burst.budget.held <= 2 << 20
+
+
+def test_topic_that_its_budget_stops_has_asked() -> None:
+    """What DDS holds no more is not counted against it, though it is asked rarely."""
+    now, budget = Time(), Budget(1_000_000)
+    pool = Pool(1_000)
+    topic = VolatileTopic(pool, pool.depth, budget, now)
+    for _ in range(100):
+        topic.publish(bytes(90_000))
+        now.s += 0.1
+    assert pool.held <= budget.limit / 2 + FREE
+
+
 def test_a_full_budget_ends_the_burst_at_once() -> None:
     burst = Burst()
     burst.pools[0].stopped = True

@@ -34,8 +34,10 @@ _HEAP_TRIMMED_EVERY = 8.0
 
 
 @contextmanager
-def histories_that_shrink(environment: MutableMapping[str, str]) -> Iterator[None]:
+def histories_that_shrink(environment: MutableMapping[str, str]) -> Iterator[bool]:
     """Have the participant that the context creates free what its writers held. A user's own profiles have priority.
+
+    Yields whether the profiles are the bridge's.
 
     rmw_fastrtps has Fast DDS reuse the memory of each message in a history for the next one, enlarged to the largest
     that it ever held. So 300 messages of 1 MB keep 180 MB for as long as the topic lasts. With the policy ``DYNAMIC`` a
@@ -49,10 +51,10 @@ def histories_that_shrink(environment: MutableMapping[str, str]) -> Iterator[Non
     if any(name in environment for name in (*PROFILE_VARIABLES, _QOS_VARIABLE)) or any(
         path.exists() for path in _FOUND_BY_FAST_DDS
     ):
-        yield
+        yield False
         return
     with with_variables(environment, {profile_variable(environment): str(_HISTORIES), _QOS_VARIABLE: "1"}):
-        yield
+        yield True
 
 
 def profile_variable(environment: Mapping[str, str]) -> str:

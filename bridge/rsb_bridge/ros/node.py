@@ -129,8 +129,9 @@ class RosNode:
             raise RosError(RosProblem.NOT_INSTALLED(error=error)) from error
         if self._thread is not None:
             raise RosError(RosProblem.STARTED_TWICE())
-        with histories_that_shrink(os.environ), whole_graph(os.environ):
-            participant = self._participant = Participant(self._domain_id, self.node_name)
+        with histories_that_shrink(os.environ) as own_profiles, whole_graph(os.environ):
+            participant = Participant(self._domain_id, self.node_name, own_profiles=own_profiles)
+        self._participant = participant
         self.shortfalls = (*participant.shortfalls, *filter(None, (Security(os.environ).unsecured(),)))
         self._thread = threading.Thread(target=self._serve, args=(participant,), name="ros", daemon=True)
         self._thread.start()

@@ -6,6 +6,8 @@ import itertools
 import os
 import threading
 from contextlib import ExitStack
+from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -17,6 +19,7 @@ from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.arrivals import EventArrivals, WaitSetArrivals
 from rsb_bridge.ros.distribution import described
 from rsb_bridge.ros.native.description_service import ask_node
+from rsb_bridge.ros.native.fast_dds_profiles import load_profiles
 from rsb_bridge.ros.native.librcl import TakeBuffer, graph_guard_condition, reset_error
 from rsb_bridge.ros.native.rcl_endpoints import endpoint_of, safe_type_name
 from rsb_bridge.ros.native.rclpy_extension import (
@@ -59,6 +62,10 @@ _TRY_AGAIN = 0.1
 _DIFFERENT_LEASES = 1000
 """Readers that may have the same lease at a time. A round figure: the last one's is 1 ms longer."""
 _KEPT = 5000  # messages: Fast DDS's limit on a history that keeps all
+_PROMPT_WRITER = Path(__file__).with_name("fast_dds_prompt_writer.xml")
+_DEEP = 1000
+"""Messages. A writer that keeps fewer may have overwritten what a reader lacks before it asks, which by the default
+profile takes up to 0.6 s. As many come in that time at 1.6 kHz."""
 
 _CALLS = Qos("reliable", "volatile", "keep_last", _KEPT)
 """The QoS of all services, with a greater depth: simultaneous calls must not displace each other."""
@@ -74,8 +81,11 @@ class Participant:
     The graph may be asked from any thread; `wait`, and to take from endpoints, belong to one thread.
     """
 
-    def __init__(self, domain_id: int, node_name: str) -> None:
+    def __init__(self, domain_id: int, node_name: str, *, own_profiles: bool = False) -> None:
         """Join the domain.
+
+        Args:
+            own_profiles: whether the profiles of Fast DDS's endpoints are the bridge's, and not a user's.
 
         Raises:
             RosError: the domain cannot be joined.
@@ -103,6 +113,7 @@ class Participant:
         self._buffer = TakeBuffer()
         self._untaken = UntakenResponses(self._context)
         self._lease_numbers = itertools.count()
+        self._own_profiles = own_profiles
         # The middleware has a participant's entities locked while it asks a type support that is in Python, where the
         # GIL may change hands: nobody may have it then and want that lock.
         self._entities = threading.RLock()
@@ -187,7 +198,11 @@ class Participant:
         if qos.history == "keep_all":
             qos = msgspec.structs.replace(qos, history="keep_last", depth=_KEPT)
         borrowed = borrow_type(type_name, type_hash)
-        return Writer(self._create("publisher", topic, borrowed, qos), borrowed.interface)
+        with self._entities:
+            if self._own_profiles and qos.reliability == "reliable" and (qos.latched or qos.depth < _DEEP):
+                _be_prompt(topic)
+            handle = self._create("publisher", topic, borrowed, qos)
+        return Writer(handle, borrowed.interface)
 
     def create_server(self, service: str, type_name: str, type_hash: str) -> RawServiceServer | TypedServer:
         """Create a raw service; errors as `create_reader`."""
@@ -266,6 +281,12 @@ class Participant:
 
     def _others(self, infos: list[dict[str, Any]]) -> list[Endpoint]:
         return [end for info in infos if (end := endpoint_of(info)).node != self._name]
+
+
+@cache
+def _be_prompt(topic: str) -> None:
+    """Have Fast DDS give this process's writers on a topic, from now on, the profile that asks readers soon."""
+    load_profiles(_PROMPT_WRITER.read_bytes().replace(b"TOPIC", topic.encode()))
 
 
 def _named(found: list[tuple[str, list[str]]]) -> dict[str, list[str]]:

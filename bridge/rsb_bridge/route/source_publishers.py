@@ -103,7 +103,8 @@ class VolatileTopic:
         self._successor_since = 0.0
         self._waiting: deque[int] = deque()  # sizes of the memory of messages that may not be acknowledged yet
         self._free: list[int] = []  # of memory that DDS uses next: the block that it freed last comes first
-        self._held = self._charged = self._held_when_asked = 0
+        self._held = self._charged = 0
+        self._asks_beyond = FREE  # bytes held from which on DDS is asked
         self._asks_at = float("-inf")
 
     @property
@@ -129,8 +130,9 @@ class VolatileTopic:
         size, waiting = len(content) + MESSAGE_COST, self._waiting
         is_full = len(waiting) >= self._depth
         memory = waiting[0] if is_full else self._free[-1] if self._free else 0
-        room = self._held_when_asked + FREE - self._held
-        if size <= memory and size - memory <= room and self._successor is None:  # nothing more is held
+        if (
+            size <= memory and size - memory <= self._asks_beyond - self._held and self._successor is None
+        ):  # nothing more is held
             waiting.append(memory)
             if is_full:
                 waiting.popleft()
@@ -159,7 +161,7 @@ class VolatileTopic:
         growth, deep = size - memory, self._depth > self._lasting_depth
         # Ten large messages would be kept by the other publisher, too.
         full = deep and growth > 0 and self._held + growth > max(_BURST_BYTES, self._lasting_depth * size)
-        if full or self._held + growth > self._held_when_asked + FREE:
+        if full or self._held + growth > self._asks_beyond or not self._affords(growth):
             self._recycle()
             memory = self._memory()
         since = self._unacknowledged_since
@@ -212,7 +214,8 @@ class VolatileTopic:
 
     def _forget_memory(self) -> None:
         self._budget.give(self._charged)
-        self._held = self._charged = self._held_when_asked = 0
+        self._held = self._charged = 0
+        self._asks_beyond = FREE
         self._waiting.clear()
         self._free.clear()
 
@@ -230,20 +233,28 @@ class VolatileTopic:
         if self._publisher.acknowledged:
             self._free.extend(self._waiting)
             self._waiting.clear()
-            self._held_when_asked = self._held
+            # The more it holds, the less often: of messages of 100 kB one in ten, where each one was asked about.
+            self._asks_beyond = self._held + max(FREE, min(self._held, _BURST_BYTES))
             self._unacknowledged_since = None
         else:
             if self._unacknowledged_since is None:
                 self._unacknowledged_since = now
             self._asks_at = now + _ASKS_AGAIN_AFTER
 
+    def _charge(self, growth: int) -> int:
+        """Return the bytes of the link's budget that it takes to hold so many more."""
+        return max(0, self._held + growth - FREE) - self._charged
+
+    def _affords(self, growth: int) -> bool:
+        charge = self._charge(growth)
+        # As much as this topic has is left to the link's other topics.
+        return charge <= 0 or self._charged + charge <= self._budget.limit - self._budget.held - charge
+
     def _reserve(self, size: int, memory: int) -> None:
         growth = max(0, size - memory)
-        charge = max(0, self._held + growth - FREE) - self._charged
-        if charge > 0:
-            # As much as this topic has is left to the link's other topics.
-            if self._charged + charge > self._budget.limit - self._budget.held - charge:
-                raise SlowSubscriberError(self._budget.limit)
+        if not self._affords(growth):
+            raise SlowSubscriberError(self._budget.limit)
+        if (charge := self._charge(growth)) > 0:
             self._charged += charge
             self._budget.take(charge)
         self._waiting.append(memory + growth)
