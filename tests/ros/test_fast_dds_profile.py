@@ -8,12 +8,15 @@ import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
+import pytest
 from tests.support.captured import captured, own_lines
 
 from rsb_bridge.ros import memory
 
-_PROFILE = Path(__file__).parents[2] / "configs" / "fastdds-large-messages.xml"
-_HISTORIES = Path(memory.__file__).with_name("fast_dds_histories.xml")
+_CONFIGS = Path(__file__).parents[2] / "configs"
+_VARIABLE = memory.profile_variable(os.environ)
+_PROFILE = _CONFIGS / memory.LARGE_MESSAGES[_VARIABLE]
+_HISTORIES = memory.HISTORIES[_VARIABLE]
 _SEGMENT = 32 * 1024 * 1024
 _NODE = """
 import sys, rclpy
@@ -53,7 +56,8 @@ for number in range(4):
 """
 
 
-def test_its_histories_are_the_bridges_own() -> None:
+@pytest.mark.parametrize("variable", memory.PROFILE_VARIABLES)
+def test_its_histories_are_the_bridges_own(variable: str) -> None:
     """A user's profile for large messages replaces the one that the bridge brings."""
 
     def histories(path: Path) -> dict[str, str]:
@@ -63,12 +67,12 @@ def test_its_histories_are_the_bridges_own() -> None:
             if each.tag.endswith(("data_writer", "data_reader"))
         }
 
-    assert len(histories(_HISTORIES)) == 2
-    assert histories(_PROFILE) == histories(_HISTORIES)
+    assert len(histories(memory.HISTORIES[variable])) == 2
+    assert histories(_CONFIGS / memory.LARGE_MESSAGES[variable]) == histories(memory.HISTORIES[variable])
 
 
 def test_fast_dds_takes_the_profile(spare_domains: int) -> None:
-    environ = os.environ | {memory.profile_variable(os.environ): str(_PROFILE)}
+    environ = os.environ | {_VARIABLE: str(_PROFILE)}
     command = [sys.executable, "-c", _NODE, str(spare_domains)]
     ran = captured(*command, env=environ, check=True)
     assert not [line for line in own_lines(ran.stderr) if "Error" in line]
@@ -78,7 +82,7 @@ def test_fast_dds_takes_the_profile(spare_domains: int) -> None:
 
 def test_subscriptions_are_asked_soon(spare_domains: int) -> None:
     """By Fast DDS's default, each 3 s what they lack."""
-    environ = os.environ | {memory.profile_variable(os.environ): str(_HISTORIES), "RMW_FASTRTPS_USE_QOS_FROM_XML": "1"}
+    environ = os.environ | {_VARIABLE: str(_HISTORIES), "RMW_FASTRTPS_USE_QOS_FROM_XML": "1"}
     command = [sys.executable, "-c", _READER, str(spare_domains)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as reader:
         assert reader.stdin is not None
