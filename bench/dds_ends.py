@@ -5,10 +5,12 @@ DDS, and another one a program of `make peers`. ``server`` is Fast DDS's discove
 Each does what the lines of standard input say, and ends with it:
 
 - ``write TOPIC [POLICY...]``, ``read TOPIC [POLICY...]``: of std_msgs/String. A policy is ``best_effort``, ``latched``,
-  ``depth=N``, or ``deadline``, ``lifespan`` or ``lease`` (manual by topic) with ``=SECONDS``.
-- ``publish TOPIC MARK SIZE``
-- of nodes, ``serve NAME MAPPING`` and ``call NAME MAPPING`` of std_srvs/SetBool (``answered NAME MESSAGE``), ``set NODE
-  NUMBER`` of its parameter ``rate`` (``answered NODE``), ``tick SECOND`` to /clock and ``watch`` of it
+  ``depth=N``, or ``deadline``, ``lifespan`` or ``lease`` (manual by topic) with ``=SECONDS``. Two more are types:
+  ``keyed`` is test_msgs/KeyedString, and ``key`` a String whose text is a key, which it is not for ROS.
+- ``publish TOPIC MARK SIZE``; a key is the last letter of the mark
+- of nodes, ``serve NAME MAPPING`` and ``call NAME MAPPING`` of std_srvs/SetBool (``answered NAME MESSAGE``), ``set
+  NODE``: its parameter ``rate`` to another number, and read it (``answered NODE``), ``tick SECOND`` to /clock and
+  ``watch`` of it
 
 It says ``ready``, ``heard TOPIC MARK SIZE`` and ``event TOPIC deadline|not_alive|...``. This module needs nothing of
 rsb-console, since it also runs with another distribution's Python.
@@ -21,11 +23,9 @@ import sys
 import threading
 import time
 from abc import ABC, abstractmethod
+from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
+from typing import Any
 
 PROGRAMS = Path(__file__).parent / "peers/dds_programs/target/release"
 _EVERY = 0.005  # s between two looks for samples, as in `dds_programs`
@@ -71,7 +71,15 @@ def _qos(policies: list[str]) -> dict[str, float]:
     return {key: float(value or 1) for key, _, value in (policy.partition("=") for policy in policies)}
 
 
-def _heard(topic: str, text: str) -> None:
+def _filled(kind: Any, text: str) -> Any:
+    """Return a message of a type."""
+    if kind.__name__ == "KeyedString":
+        return kind(key=text.partition(" ")[0][-1], value=text)
+    return kind(data=text)
+
+
+def _heard(topic: str, message: Any) -> None:
+    text = message.value if type(message).__name__ == "KeyedString" else message.data
     _say("heard", topic, text.partition(" ")[0], len(text))
 
 
@@ -86,9 +94,8 @@ class Stock(Participant):
     def __init__(self, domain: int, name: str) -> None:
         super().__init__()
         import rclpy  # noqa: PLC0415 -- the other programs need none
-        from std_msgs.msg import String  # noqa: PLC0415
 
-        self._string: Any = String
+        self._numbers = count(100)
         self._clients: dict[str, Any] = {}
         rclpy.init(domain_id=domain)
         self._node = rclpy.create_node(name)
@@ -96,7 +103,7 @@ class Stock(Participant):
         threading.Thread(target=rclpy.spin, args=(self._node,), daemon=True).start()
 
     def write(self, topic: str, qos: dict[str, float]) -> None:
-        self._writers[topic] = self._node.create_publisher(self._string, topic, self._profile(qos))
+        self._writers[topic] = self._node.create_publisher(self._kind(qos), topic, self._profile(qos))
 
     def read(self, topic: str, qos: dict[str, float]) -> None:
         from rclpy.event_handler import SubscriptionEventCallbacks  # noqa: PLC0415
@@ -111,11 +118,12 @@ class Stock(Participant):
             incompatible_qos=lambda status: _say("event", topic, "incompatible", status.last_policy_kind),
         )
         self._readers[topic] = self._node.create_subscription(
-            self._string, topic, lambda message: _heard(topic, message.data), self._profile(qos), event_callbacks=events
+            self._kind(qos), topic, lambda message: _heard(topic, message), self._profile(qos), event_callbacks=events
         )
 
     def publish(self, topic: str, text: str) -> None:
-        self._writers[topic].publish(self._string(data=text))
+        writer = self._writers[topic]
+        writer.publish(_filled(writer.msg_type, text))
 
     def serve(self, service: str, _: str) -> None:
         from std_srvs.srv import SetBool  # noqa: PLC0415
@@ -129,14 +137,30 @@ class Stock(Participant):
     def call(self, service: str, _: str) -> None:
         from std_srvs.srv import SetBool  # noqa: PLC0415
 
-        self._ask(SetBool, service, SetBool.Request(data=True), lambda response: response.message)
+        client = self._clients.get(service) or self._node.create_client(SetBool, service)
+        self._clients[service] = client
+        if client.service_is_ready():
+            future = client.call_async(SetBool.Request(data=True))
+            future.add_done_callback(lambda done: _say("answered", service, done.result().message))
 
-    def set(self, node: str, number: str) -> None:
-        from rcl_interfaces.srv import SetParameters  # noqa: PLC0415
+    def set(self, node: str) -> None:
         from rclpy.parameter import Parameter  # noqa: PLC0415
+        from rclpy.parameter_client import AsyncParameterClient  # noqa: PLC0415
 
-        request = SetParameters.Request(parameters=[Parameter("rate", value=int(number)).to_parameter_msg()])
-        self._ask(SetParameters, f"{node}/set_parameters", request, lambda response: response.results[0].successful)
+        client = self._clients.get(node) or AsyncParameterClient(self._node, node)
+        self._clients[node] = client
+        number = next(self._numbers)
+
+        def read(done: Any) -> None:
+            if [value.integer_value for value in done.result().values] == [number]:
+                _say("answered", node)
+
+        def was_set(done: Any) -> None:
+            if done.result().results[0].successful:
+                client.get_parameters(["rate"], read)
+
+        if client.services_are_ready():
+            client.set_parameters([Parameter("rate", value=number)], was_set)
 
     def tick(self, second: str) -> None:
         from rosgraph_msgs.msg import Clock  # noqa: PLC0415
@@ -155,13 +179,14 @@ class Stock(Participant):
 
         self._node.create_subscription(Clock, "/clock", heard, self._profile({"best_effort": 1}))
 
-    def _ask(self, kind: Any, service: str, request: Any, answer: Callable[[Any], object]) -> None:
-        """Call a service, and say its answer; once it is not there, say nothing."""
-        client = self._clients.get(service) or self._node.create_client(kind, service)
-        self._clients[service] = client
-        if client.service_is_ready():
-            future = client.call_async(request)
-            future.add_done_callback(lambda done: _say("answered", service, answer(done.result())))
+    def _kind(self, qos: dict[str, float]) -> Any:
+        if "keyed" in qos:
+            from test_msgs.msg import KeyedString  # noqa: PLC0415
+
+            return KeyedString
+        from std_msgs.msg import String  # noqa: PLC0415
+
+        return String
 
     def _profile(self, qos: dict[str, float]) -> Any:
         from rclpy import qos as policies  # noqa: PLC0415
@@ -192,16 +217,14 @@ class Cyclone(Participant):
             "</General></Domain></CycloneDDS>"
         )
         import cyclonedds.domain  # noqa: PLC0415
-        from cyclonedds.idl import make_idl_struct  # noqa: PLC0415
 
-        self._string: Any = make_idl_struct("String", "std_msgs::msg::dds_::String_", {"data": str})
         self._participant: Any = cyclonedds.domain.DomainParticipant(domain)
         threading.Thread(target=self._poll, daemon=True).start()
 
     def write(self, topic: str, qos: dict[str, float]) -> None:
         from cyclonedds.pub import DataWriter  # noqa: PLC0415
 
-        self._writers[topic] = DataWriter(self._participant, self._topic(topic), _cyclone_qos(qos))
+        self._writers[topic] = DataWriter(self._participant, self._topic(topic, qos), _cyclone_qos(qos))
 
     def read(self, topic: str, qos: dict[str, float]) -> None:
         from cyclonedds.core import Listener  # noqa: PLC0415
@@ -218,23 +241,31 @@ class Cyclone(Participant):
             def on_requested_incompatible_qos(self, _: object, status: Any) -> None:
                 _say("event", topic, "incompatible", status.last_policy_id)
 
-        reader = DataReader(self._participant, self._topic(topic), _cyclone_qos(qos), listener=Events())
+        reader = DataReader(self._participant, self._topic(topic, qos), _cyclone_qos(qos), listener=Events())
         self._readers = {**self._readers, topic: reader}  # which another thread walks through
 
     def publish(self, topic: str, text: str) -> None:
-        self._writers[topic].write(self._string(data=text))
+        writer = self._writers[topic]
+        writer.write(_filled(writer.data_type, text))
 
-    def _topic(self, name: str) -> Any:
+    def _topic(self, name: str, qos: dict[str, float]) -> Any:
+        from cyclonedds.idl import make_idl_struct  # noqa: PLC0415
         from cyclonedds.topic import Topic  # noqa: PLC0415
 
-        return Topic(self._participant, f"rt{name}", self._string)
+        package, kind, fields = "std_msgs", "String", ["data"]
+        if "keyed" in qos:
+            package, kind, fields = "test_msgs", "KeyedString", ["key", "value"]
+        marks = {fields[0]: {"key": True}} if {"key", "keyed"} & {*qos} else {}
+        name_of_type = f"{package}::msg::dds_::{kind}_"
+        made = make_idl_struct(kind, name_of_type, dict.fromkeys(fields, str), field_annotations=marks)
+        return Topic(self._participant, f"rt{name}", made)
 
     def _poll(self) -> None:
         while True:
             for topic, reader in self._readers.items():
                 for each in reader.take(_MOST):
                     if each.sample_info.valid_data:
-                        _heard(topic, each.data)
+                        _heard(topic, each)
             time.sleep(_EVERY)
 
 

@@ -5,7 +5,7 @@ stock node and hears it, in each case three times: in one domain, from the robot
 What a bridged run lacks of the first one is a fault of the bridge, or a line of docs/foreign.md, which `make plots`
 writes from the file.
 
-All of it runs in a network namespace of its own, as some of these programs use each interface that is up.
+All of it runs in a network and a shared memory of its own, as some of these programs use each interface that is up.
 """
 
 from __future__ import annotations
@@ -43,7 +43,10 @@ NEAR, FAR = 1, 2  # domains of the namespace, in which nobody else is
 ENDS = ("direct", "robot", "desk")
 """Where a part is: in one domain with the stock node, or at an end of a bridge with the node at the other."""
 _INSIDE = "RSB_BENCH_INSIDE"
-_NETWORK = 'mount -t sysfs none /sys; ip link set lo up multicast on; ip route add 224.0.0.0/4 dev lo; exec "$@"'
+_ALONE = (
+    "mount -t sysfs none /sys; mount -t tmpfs none /dev/shm; "
+    'ip link set lo up multicast on; ip route add 224.0.0.0/4 dev lo; exec "$@"'
+)
 _ENVIRON = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}  # the default, which finds programs of other implementations
 _OPENS_WITHIN, _AGAIN = 20.0, 0.25  # s until a first message is heard, and between two attempts
 _STATE_WITHIN = 1.0  # s: a bridge renews its state each 0.25 s, and its peer's
@@ -56,18 +59,20 @@ class Part(NamedTuple):
     Attributes:
         title: its name and its version.
         program: the argument of `bench.dds_ends`.
-        calls: the cases with calls that it has the means for, ``CASE`` or ``CASE WAY``.
+        means: the cases that not every program has the means for, ``CASE`` or ``CASE WAY``.
         environ: changes to the environment of all in its domain.
     """
 
     title: str
     program: str
-    calls: Sequence[str] = ()
+    means: Sequence[str] = ()
     environ: Mapping[str, str] = {}
 
 
 _SERVER = 11811
-_OF_NODES = ("enhanced", "parameters", "clock")
+_OF_NODES = ("enhanced", "parameters", "clock", "keyed", "keyed_latched")
+_OF_PARTICIPANTS = ("keyed hears", "keyed_latched hears", "own_key")
+"""They publish no type with a key to a node that has it: see docs/foreign.md, Types with a key."""
 PARTS = {
     "stock": Part("A stock node", "stock", _OF_NODES),
     "kilted": Part("A node of Kilted, rclpy 9.1.2, Fast DDS 3.2.3", "other", _OF_NODES),
@@ -77,14 +82,14 @@ PARTS = {
         _OF_NODES,
         {"ROS_DISCOVERY_SERVER": f"127.0.0.1:{_SERVER}"},
     ),
-    "cyclonedds": Part("Cyclone DDS, cyclonedds 11.0.1", "cyclone"),
-    "rustdds": Part("RustDDS 0.15.1", "with_rustdds"),
+    "cyclonedds": Part("Cyclone DDS, cyclonedds 11.0.1", "cyclone", _OF_PARTICIPANTS),
+    "rustdds": Part("RustDDS 0.15.1", "with_rustdds", _OF_PARTICIPANTS),
     "ros2-client": Part(
         "ros2-client 0.12.1, RustDDS 0.15.1",
         "with_ros2_client",
-        ("enhanced", "basic", "cyclone", "parameters speaks", "clock speaks"),
+        ("enhanced", "basic", "cyclone", "parameters", "clock speaks"),
     ),
-    "dust-dds": Part("Dust DDS 0.16.0", "with_dust_dds"),
+    "dust-dds": Part("Dust DDS 0.16.0", "with_dust_dds", _OF_PARTICIPANTS),
 }
 
 
@@ -165,10 +170,12 @@ class Program:
 # Cases ##############################################################################################################
 
 
-def _series(policies: str, count: int, size: int, interval: float) -> Callable[[Program, Program, str], Run]:
+def _series(
+    policies: str, count: int, size: int, interval: float, of_part: str = ""
+) -> Callable[[Program, Program, str], Run]:
     def run(speaker: Program, hearer: Program, topic: str) -> Run:
-        hearer.tell("read", topic, policies)
-        speaker.tell("write", topic, policies)
+        for program, order in ((hearer, "read"), (speaker, "write")):
+            program.tell(order, topic, policies, of_part if program.is_foreign else "")
         if not _opened(speaker, hearer, topic):
             return Run(0, count, _why(hearer, topic))
         for number in range(count):
@@ -179,18 +186,22 @@ def _series(policies: str, count: int, size: int, interval: float) -> Callable[[
     return run
 
 
-def _latched(speaker: Program, hearer: Program, topic: str) -> Run:
-    speaker.tell("write", topic, "latched depth=5")
-    for number in range(7):
-        speaker.tell("publish", topic, f"m{number}", 10)
-    hearer.wait(lambda: False, 5.0)  # so that a bridge has them, and the one that hears is late
-    hearer.tell("read", topic, "latched depth=5")
-    newest = [f"m{number}" for number in range(2, 7)]
-    hearer.wait(lambda: newest[-1] in hearer.heard(topic), _OPENS_WITHIN)
-    _settled(hearer, topic, 1000)
-    marks = hearer.heard(topic, "m")
-    in_place = sum(mark == right for mark, right in zip(marks[-5:], newest, strict=False))
-    return Run(in_place, 5, "" if marks == newest else " ".join(marks))
+def _latched(policies: str, marks: Sequence[str], newest: Sequence[str]) -> Callable[[Program, Program, str], Run]:
+    """Publish, and listen late: the newest are to come in their order."""
+
+    def run(speaker: Program, hearer: Program, topic: str) -> Run:
+        speaker.tell("write", topic, "latched", policies)
+        for mark in marks:
+            speaker.tell("publish", topic, mark, 10)
+        hearer.wait(lambda: False, 5.0)  # so that a bridge has them, and the one that hears is late
+        hearer.tell("read", topic, "latched", policies)
+        hearer.wait(lambda: newest[-1] in hearer.heard(topic), _OPENS_WITHIN)
+        _settled(hearer, topic, 1000)
+        heard = hearer.heard(topic, "m")
+        in_place = sum(mark == right for mark, right in zip(heard[-len(newest) :], newest, strict=False))
+        return Run(in_place, len(newest), "" if heard == newest else " ".join(heard))
+
+    return run
 
 
 def _silence(asked: str, offered: str, event: str) -> Callable[[Program, Program, str], Run]:
@@ -251,7 +262,7 @@ def _calls(mapping: str) -> Callable[[Program, Program, str], Run]:
 
 
 def _parameters(server: Program, caller: Program, _: str) -> Run:
-    return _answers(caller, f"{server.node}/set_parameters", "set", server.node, 7)
+    return _answers(caller, server.node, "set", server.node)
 
 
 def _answers(caller: Program, service: str, *order: object) -> Run:
@@ -304,7 +315,7 @@ def _why(hearer: Program, topic: str) -> str:
 CASES: Mapping[str, Callable[[Program, Program, str], Run]] = {
     "best_effort": _series("best_effort", 20, 100, 0.05),
     "reliable": _series("", 20, 100, 0.05),
-    "latched": _latched,
+    "latched": _latched("depth=5", [f"m{number}" for number in range(7)], [f"m{number}" for number in range(2, 7)]),
     "large": _series("", 10, 1_000_000, 0.5),
     "large_best_effort": _series("best_effort", 10, 1_000_000, 0.5),
     "deadline": _silence("deadline=1", "deadline=0.5", "deadline"),
@@ -316,7 +327,13 @@ CASES: Mapping[str, Callable[[Program, Program, str], Run]] = {
     "parameters": _parameters,
     "clock": _clock,
     "killed": _killed,
+    "keyed": _series("keyed", 20, 100, 0.05),
+    "keyed_latched": _latched("keyed depth=1", ["m0", "m1", "m10", "m11"], ["m10", "m11"]),  # of each key the last
+    "own_key": _series("", 20, 100, 0.05, of_part="key"),
 }
+_OF_KILTED = ("keyed", "keyed_latched")
+"""Whose type an older distribution does not have."""
+_NEED_MEANS = {"enhanced", "basic", "cyclone", "parameters", "clock", *_OF_KILTED, "own_key"}
 _KINDS = dict.fromkeys(("enhanced", "basic", "cyclone"), "service") | {"parameters": "node"}
 """Of the cases that are no topics."""
 _LISTS = {"service": "services:", "node": "parameters:"}
@@ -330,8 +347,8 @@ def ways(part: Part, cases: Iterable[str]) -> list[tuple[str, str]]:
     """Return the cases that a part has the means for, and the ways: whether it ``speaks`` (answers) or ``hears``."""
     found = []
     for case, way in itertools.product(cases, ("speaks", "hears")):
-        is_call = case in _KINDS or case == "clock"
-        if (not is_call or {case, f"{case} {way}"} & set(part.calls)) and (case, way) != ("clock", "hears"):
+        has_means = case not in _NEED_MEANS or {case, f"{case} {way}"} & set(part.means)
+        if has_means and (case, way) != ("clock", "hears"):
             found.append((case, way))
     return found
 
@@ -413,17 +430,29 @@ def main() -> None:
         parser.error(f"no part is called {', '.join(unknown)}")
     if _INSIDE not in os.environ:
         command = [sys.executable, "-m", "bench.foreign_dds", *sys.argv[1:]]
-        inside = ["unshare", "--map-root-user", "--net", "--mount", "sh", "-ec", _NETWORK, "sh", *command]
+        inside = ["unshare", "--map-root-user", "--net", "--mount", "sh", "-ec", _ALONE, "sh", *command]
         raise SystemExit(subprocess.run(inside, env=os.environ | {_INSIDE: "1"}, check=False).returncode)
+    cases = options.cases.split(",")
+    if not _has_keyed_type() and (left_out := [case for case in cases if case in _OF_KILTED]):
+        cases = [case for case in cases if case not in left_out]
+        print(f"{', '.join(left_out)}: no type with a key is installed: run this with Kilted's Python", flush=True)
     for name in options.parts.split(","):
         part = PARTS[name]
         if missing := _missing(part):
             print(f"{part.title}: {missing}", flush=True)
             continue
         for end in options.ends.split(","):
-            for case, way, result in measured(part, ways(part, options.cases.split(",")), end):
+            for case, way, result in measured(part, ways(part, cases), end):
                 print(f"{name:<12} {end:<7} {case:<18} {way:<7}", *result.values(), flush=True)
                 _keep(options.json, part, name, (case, way, end), result)
+
+
+def _has_keyed_type() -> bool:
+    """Whether test_msgs has KeyedString, which is looked for without loading ROS's libraries."""
+    package = importlib.util.find_spec("test_msgs")
+    return package is not None and any(
+        Path(folder, "msg/_keyed_string.py").exists() for folder in package.submodule_search_locations or ()
+    )
 
 
 def _missing(part: Part) -> str:
@@ -443,9 +472,8 @@ def _keep(file: Path, part: Part, name: str, place: tuple[str, str, str], result
     found = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
     its = found.setdefault(name, {"title": part.title, "cases": {}})
     case, way, end = place
-    its["seen"] = datetime.datetime.now(datetime.UTC).date().isoformat()
-    its["beside"] = _beside()
-    its["cases"].setdefault(case, {}).setdefault(way, {})[end] = dict(result)
+    seen = {"seen": datetime.datetime.now(datetime.UTC).date().isoformat(), "beside": _beside()}
+    its["cases"].setdefault(case, {}).setdefault(way, {})[end] = {**result, **seen}
     file.write_text(json.dumps(found, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
 
 

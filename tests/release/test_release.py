@@ -76,8 +76,8 @@ def test_the_wheel_has_what_is_documented(wheel: Path) -> None:
         "configs/robot1.yaml",
         "configs/grafana-dashboard.json",
         "rsb_console/launch/bridge.launch.py",
-        "rsb_bridge/ros/fast_dds_histories.xml",
-        "rsb_bridge/ros/fast_dds_prompt_writer.xml",
+        "rsb_bridge/ros/fast_dds_2_histories.xml",
+        "rsb_bridge/ros/fast_dds_3_histories.xml",
         "rsb_bridge/py.typed",
         "fish/vendor_completions.d/rsb-console.fish",
     ):

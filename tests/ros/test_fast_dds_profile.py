@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 
+import pytest
 from tests.support.captured import captured, own_lines
 from tests.support.waiting import eventually
 
@@ -21,10 +22,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 _ROOT = Path(__file__).parents[2]
-_PROFILE = _ROOT / "configs" / "fastdds-large-messages.xml"
-_HISTORIES, _PROMPT_WRITER = (
-    Path(memory.__file__).with_name(f"fast_dds_{name}.xml") for name in ("histories", "prompt_writer")
-)
+_CONFIGS = _ROOT / "configs"
+_VARIABLE = memory.profile_variable(os.environ)
+_PROFILE = _CONFIGS / memory.LARGE_MESSAGES[_VARIABLE]
 _SEGMENT = 32 * 1024 * 1024
 _NODE = """
 import sys, rclpy
@@ -109,25 +109,39 @@ def _answer(process: Any) -> Any:
     return json.loads(process.stdout.readline())
 
 
-def test_its_histories_are_the_bridges_own() -> None:
+@pytest.mark.parametrize("variable", memory.PROFILE_VARIABLES)
+def test_its_histories_are_the_bridges_own(variable: str) -> None:
     """A user's profile for large messages replaces those that the bridge brings, and knows no topics."""
 
     def histories(path: Path) -> dict[str, str]:
-        found = (
-            each for each in ElementTree.parse(path).getroot() if each.tag.endswith(("data_writer", "data_reader"))
-        )
         return {
-            each.tag.split("}")[-1]: "".join(
+            each.attrib["profile_name"]: "".join(
                 ElementTree.canonicalize(ElementTree.tostring(part), strip_text=True) for part in each
             )
-            for each in found
+            for each in ElementTree.parse(path).getroot()
+            if each.tag.endswith(("data_writer", "data_reader"))
         }
 
-    assert histories(_HISTORIES) != histories(_PROFILE) == histories(_HISTORIES) | histories(_PROMPT_WRITER)
+    own, users = histories(memory.HISTORIES[variable]), histories(_CONFIGS / memory.LARGE_MESSAGES[variable])
+    assert own.keys() == {"shrinking_writer", "prompt_writer", "reusing_reader"}
+    assert users == {"shrinking_writer": own["prompt_writer"], "reusing_reader": own["reusing_reader"]}
+
+
+@pytest.mark.parametrize("variable", memory.PROFILE_VARIABLES)
+def test_profile_of_topic_is_the_prompt_one(variable: str, tmp_path: Path) -> None:
+    file = tmp_path / "topic.xml"
+    environment = {} if variable == memory.PROFILE_VARIABLES[1] else {"AMENT_PREFIX_PATH": str(tmp_path)}
+    (tmp_path / "lib").mkdir()
+    (tmp_path / "lib/libfastrtps.so").touch()
+    if memory.profile_variable(environment) != variable:
+        pytest.skip("this environment has Fast DDS 2")
+    file.write_bytes(memory.prompt_writer(environment, "/robot/scan"))
+    (profile,) = ElementTree.parse(file).getroot()
+    assert profile.attrib == {"profile_name": "/robot/scan"}
 
 
 def test_fast_dds_takes_the_profile(spare_domains: int) -> None:
-    environ = os.environ | {memory.profile_variable(os.environ): str(_PROFILE)}
+    environ = os.environ | {_VARIABLE: str(_PROFILE)}
     command = [sys.executable, "-c", _NODE, str(spare_domains)]
     ran = captured(*command, env=environ, check=True)
     assert not [line for line in own_lines(ran.stderr) if "Error" in line]

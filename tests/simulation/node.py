@@ -121,6 +121,9 @@ class Node:
     def ask_description(self, *_: object) -> str | None:
         return None
 
+    def survives_foreign_keys(self, _: str) -> bool:
+        return True
+
     def installed_hash(self, type_name: str) -> str | None:
         return self._domain.installed.get(type_name)
 

@@ -43,7 +43,14 @@ NAMED = make_idl_struct(
     "Named", "made_up_msgs::msg::dds_::Named_", {"data": str}, field_annotations={"data": {"key": True}}
 )
 """A type with a key that is installed nowhere."""
-_OTHER_TYPES = (KEYED, TIME, NAMED)
+KEYED_STRING = make_idl_struct(
+    "KeyedString",
+    "test_msgs::msg::dds_::KeyedString_",
+    {"key": str, "value": str},
+    field_annotations={"key": {"key": True}},
+)
+"""A type with a key that is installed from Kilted on."""
+_OTHER_TYPES = (KEYED, TIME, NAMED, KEYED_STRING)
 HASH = "RIHS01_" + 32 * "5a"
 HASHED = Policy.Userdata(f"typehash={HASH};".encode())
 """Tells ROS a hash of the type."""

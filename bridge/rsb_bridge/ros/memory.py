@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import re
 import sys
 import threading
 from contextlib import contextmanager
@@ -14,9 +15,15 @@ from rsb_bridge.ros.environment import with_variables
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, MutableMapping
 
-_HISTORIES = Path(__file__).with_name("fast_dds_histories.xml")
-PROFILE_VARIABLES = "FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"
+PROFILE_VARIABLES = _OLD, _NEW = "FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"
 """Fast DDS 2, until Jazzy, knows the first one only; rmw_fastrtps warns of it where it knows the second one."""
+HISTORIES = {
+    variable: Path(__file__).with_name(f"fast_dds_{version}_histories.xml")
+    for version, variable in enumerate(PROFILE_VARIABLES, start=2)
+}
+LARGE_MESSAGES = {_OLD: "fastdds-large-messages.xml", _NEW: "fastdds3-large-messages.xml"}
+"""Names of the profiles for users, in `configs`: Fast DDS refuses the whole file if an element has the other's name."""
+_PROMPT_WRITER = '<data_writer profile_name="prompt_writer">.*?</data_writer>'
 _QOS_VARIABLE = "RMW_FASTRTPS_USE_QOS_FROM_XML"
 _FAST_DDS_2 = "libfastrtps.so"
 _FOUND_BY_FAST_DDS = Path("DEFAULT_FASTRTPS_PROFILES.xml"), Path("DEFAULT_FASTDDS_PROFILES.xml")
@@ -53,15 +60,24 @@ def histories_that_shrink(environment: MutableMapping[str, str]) -> Iterator[boo
     ):
         yield False
         return
-    with with_variables(environment, {profile_variable(environment): str(_HISTORIES), _QOS_VARIABLE: "1"}):
+    variable = profile_variable(environment)
+    with with_variables(environment, {variable: str(HISTORIES[variable]), _QOS_VARIABLE: "1"}):
         yield True
+
+
+def prompt_writer(environment: Mapping[str, str], topic: str) -> bytes:
+    """Return the XML of the profile `prompt_writer` under the name of a topic, for which rmw_fastrtps looks first."""
+    text = HISTORIES[profile_variable(environment)].read_text(encoding="utf-8")
+    head, profile = re.search(r"<profiles .*?>", text), re.search(_PROMPT_WRITER, text, re.DOTALL)
+    assert head is not None
+    assert profile is not None
+    return f"{head[0]}{profile[0].replace('prompt_writer', topic)}</profiles>".encode()
 
 
 def profile_variable(environment: Mapping[str, str]) -> str:
     """Return the name of the environment variable in which Fast DDS finds the path of its profiles."""
-    old, new = PROFILE_VARIABLES
     prefixes = (*environment.get("AMENT_PREFIX_PATH", "").split(":"), sys.prefix)
-    return old if any(prefix and Path(prefix, "lib", _FAST_DDS_2).exists() for prefix in prefixes) else new
+    return _OLD if any(prefix and Path(prefix, "lib", _FAST_DDS_2).exists() for prefix in prefixes) else _NEW
 
 
 class _Statistics(ctypes.Structure):

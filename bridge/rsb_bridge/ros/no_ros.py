@@ -75,6 +75,9 @@ class NoRos:
     def installed_hash(self, type_name: str) -> str | None:
         return None
 
+    def survives_foreign_keys(self, _: str) -> bool:
+        return True
+
     def installed_service_hash(self, type_name: str) -> str | None:
         return None
 

@@ -180,6 +180,12 @@ class RosNode:
             return None
         return None if installed is None else hash_of(installed)
 
+    def survives_foreign_keys(self, type_name: str) -> bool:
+        from rsb_bridge.ros.native.named_types import fast_dds_keys  # noqa: PLC0415  as in `start`
+
+        installed = installed_class(type_name) if self.installed_hash(type_name) else None
+        return installed is None or not fast_dds_keys(installed)
+
     def installed_description(self, type_name: str) -> str | None:
         from rsb_bridge.ros.native.rosidl_descriptions import installed_description  # noqa: PLC0415  as in `start`
 

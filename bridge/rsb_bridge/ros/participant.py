@@ -7,7 +7,6 @@ import os
 import threading
 from contextlib import ExitStack
 from functools import cache
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -18,6 +17,7 @@ from rsb_bridge.model.names import is_topic_name
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.arrivals import EventArrivals, WaitSetArrivals
 from rsb_bridge.ros.distribution import described
+from rsb_bridge.ros.memory import prompt_writer
 from rsb_bridge.ros.native.description_service import ask_node
 from rsb_bridge.ros.native.fast_dds_profiles import load_profiles
 from rsb_bridge.ros.native.librcl import TakeBuffer, graph_guard_condition, reset_error
@@ -62,7 +62,6 @@ _TRY_AGAIN = 0.1
 _DIFFERENT_LEASES = 1000
 """Readers that may have the same lease at a time. A round figure: the last one's is 1 ms longer."""
 _KEPT = 5000  # messages: Fast DDS's limit on a history that keeps all
-_PROMPT_WRITER = Path(__file__).with_name("fast_dds_prompt_writer.xml")
 _DEEP = 1000
 """Messages. A writer that keeps fewer may have overwritten what a reader lacks before it asks, which by the default
 profile takes up to 0.6 s. As many come in that time at 1.6 kHz."""
@@ -286,7 +285,7 @@ class Participant:
 @cache
 def _be_prompt(topic: str) -> None:
     """Have Fast DDS give this process's writers on a topic, from now on, the profile that asks readers soon."""
-    load_profiles(_PROMPT_WRITER.read_bytes().replace(b"TOPIC", topic.encode()))
+    load_profiles(prompt_writer(os.environ, topic))
 
 
 def _named(found: list[tuple[str, list[str]]]) -> dict[str, list[str]]:

@@ -70,7 +70,8 @@ _WITH_KEY = frozenset({b"\x02", b"\x07"})
 
 _VENDORS = b"\x01"
 """The first byte of all vendors' ids. Other middlewares' ids of endpoints may begin with anything."""
-_REPEAT = frozenset({b"\x01\x0f", b"\x01\x10"})
+_FAST_DDS = b"\x01\x0f"
+_REPEAT = frozenset({_FAST_DDS, b"\x01\x10"})
 """Vendors that repeat what is lost: Fast DDS and Cyclone DDS, as tests show."""
 
 
@@ -139,6 +140,11 @@ class Endpoint(NamedTuple):
     def has_key(self) -> bool:
         """Whether its type has a key. Neither the type's hash nor its description tells."""
         return has_key(self.gid)
+
+    @property
+    def has_foreign_key(self) -> bool:
+        """Whether its type has a key, and its DDS is not Fast DDS."""
+        return self.has_key and self.gid[:2] != _FAST_DDS
 
 
 class LostPort(NamedTuple):
@@ -379,6 +385,13 @@ class RosInterface(RouteEnds, Protocol):
 
     def installed_hash(self, type_name: str) -> str | None:
         """Return the type hash of a message type that is installed here, else None."""
+
+    def survives_foreign_keys(self, type_name: str) -> bool:
+        """Whether a subscription to an installed type may match publishers with a key of another DDS than Fast DDS.
+
+        With a key in the type, rmw_fastrtps (9.1.2) ends the process at a message that names no hash of its key, and
+        only Fast DDS always names one.
+        """
 
     def installed_description(self, type_name: str) -> str | None:
         """Return the description's text (`rsb_bridge.cdr.description`) of a type that is installed here, else None.

@@ -122,6 +122,10 @@ class Resolver:
             qos = msgspec.structs.replace(qos, depth=0)
         if not name or qos is None:
             raise UnresolvedError("", cause=Cause.NO_PUBLISHER)
+        foreign = {each.node for each in publishers if each.type_name == name and each.has_foreign_key}
+        if foreign and not self._context.ros.survives_foreign_keys(name):
+            why = f"{name}, which has a key (@key), with a DDS whose messages can end any node here that hears them"
+            raise _clash(f"{who_publish(foreign)} {why}: publish it with Fast DDS, or a type without a key")
         if publishers:
             self._keyed = any(each.has_key for each in publishers if each.type_name == name)
         return Resolved(name, type_hash, qos, warning, self._keyed)

@@ -23,7 +23,7 @@ from rsb_bridge.ros.distribution import (
     distribution,
     rclpy_version,
 )
-from rsb_bridge.ros.memory import PROFILE_VARIABLES, profile_variable
+from rsb_bridge.ros.memory import LARGE_MESSAGES, PROFILE_VARIABLES, profile_variable
 from rsb_bridge.ros.security import Security
 from rsb_extras.doctor import large_messages
 
@@ -31,9 +31,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
 _SELF_TEST = (sys.executable, "-P", "-m", "rsb_bridge.ros.self_test")
-_CONFIG = "fastdds-large-messages.xml"
-_INSTALLED = Path(sys.prefix, "share/rsb_console/configs", _CONFIG)
-_LARGE_PROFILE = _INSTALLED if _INSTALLED.exists() else f"…/{_CONFIG}"
+_CONFIGS = Path(sys.prefix, "share/rsb_console/configs")
 _WITHIN = 20.0
 """s for the self-test: to import ROS takes 1 s, on a small computer several."""
 _RANGES = {
@@ -246,7 +244,10 @@ def _large_messages(environ: Mapping[str, str], large_test: Sequence[str]) -> It
     finding = partial(finding, facts=facts | {"size": large_messages.SIZE})
     text = RosText.LARGE(arrived=facts["arrived"], sent=facts["sent"], size=large_messages.SIZE / 1e6)
     if facts["arrived"] < facts["sent"]:
-        remedy = RosText.LARGE_REMEDY(variable=profile_variable(environ), file=_LARGE_PROFILE)
+        variable = profile_variable(environ)
+        installed = _CONFIGS / LARGE_MESSAGES[variable]
+        file = installed if installed.exists() else f"…/{installed.name}"
+        remedy = RosText.LARGE_REMEDY(variable=variable, file=file)
         yield finding(grade=Grade.NOTE, text=RosText.LARGE_LOST(found=text), remedy=remedy)
     elif facts["sent"]:
         yield finding(grade=Grade.OK, text=text)

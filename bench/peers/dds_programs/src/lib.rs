@@ -11,9 +11,30 @@ pub struct Qos {
     pub deadline: f64,
     pub lifespan: f64,
     pub lease: f64,
+    pub kind: Kind,
 }
 
-/// A participant with writers and readers of std_msgs/String.
+/// The type of messages.
+#[derive(Clone, Copy, Default)]
+pub enum Kind {
+    #[default]
+    String,
+    /// test_msgs/KeyedString.
+    KeyedString,
+    /// std_msgs/String whose text is a key, as it is not for ROS.
+    KeyString,
+}
+
+impl Kind {
+    pub fn name(self) -> &'static str {
+        match self {
+            Kind::KeyedString => "test_msgs::msg::dds_::KeyedString_",
+            _ => "std_msgs::msg::dds_::String_",
+        }
+    }
+}
+
+/// A participant with writers and readers.
 pub trait Participant {
     fn write(&mut self, topic: &str, qos: &Qos);
     fn read(&mut self, topic: &str, qos: &Qos);
@@ -29,6 +50,11 @@ pub trait Participant {
 pub fn heard(topic: &str, text: &str) {
     let mark = text.split(' ').next().unwrap_or_default();
     println!("heard {topic} {mark} {}", text.len());
+}
+
+/// Return the key of a KeyedString: the last letter of its mark.
+pub fn key_of(text: &str) -> String {
+    text.split(' ').next().and_then(|mark| mark.chars().last()).into_iter().collect()
 }
 
 /// Say an event, such as a missed deadline.
@@ -77,6 +103,8 @@ fn qos(words: &[&str]) -> Qos {
             "deadline" => qos.deadline = number,
             "lifespan" => qos.lifespan = number,
             "lease" => qos.lease = number,
+            "keyed" => qos.kind = Kind::KeyedString,
+            "key" => qos.kind = Kind::KeyString,
             _ => panic!("no such policy: {word}"),
         }
     }

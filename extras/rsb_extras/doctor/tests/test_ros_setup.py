@@ -14,7 +14,7 @@ from tests.support.waiting import eventually
 from tests.support.wording import says
 
 from rsb_bridge.model.finding import Finding, Grade, examine
-from rsb_bridge.ros.memory import profile_variable
+from rsb_bridge.ros.memory import LARGE_MESSAGES, profile_variable
 from rsb_extras.doctor import ros_setup
 from rsb_extras.doctor.tests import doctor_places
 
@@ -175,7 +175,7 @@ def test_secured_domain_needs_keys(tmp_path: Path) -> None:
     assert found("ros_security", {}) == []
 
 
-PROFILE = Path(__file__).parents[4] / "configs" / "fastdds-large-messages.xml"
+PROFILE = Path(__file__).parents[4] / "configs" / LARGE_MESSAGES[profile_variable(os.environ)]
 
 
 def test_large_messages_cross_within_machine_with_profile() -> None:

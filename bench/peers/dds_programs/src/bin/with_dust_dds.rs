@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use dds_programs::{Participant, Qos, domain, event, heard, run};
+use dds_programs::{Kind, Participant, Qos, domain, event, heard, key_of, run};
 use dust_dds::{
     dds_async::data_reader::DataReaderAsync,
     domain::{domain_participant::DomainParticipant, domain_participant_factory::DomainParticipantFactory},
@@ -15,9 +15,10 @@ use dust_dds::{
         time::{Duration, DurationKind},
         type_support::DdsType,
     },
-    publication::{data_writer::DataWriter, publisher::Publisher},
-    subscription::{data_reader::DataReader, data_reader_listener::DataReaderListener, subscriber::Subscriber},
+    publication::publisher::Publisher,
+    subscription::{data_reader_listener::DataReaderListener, subscriber::Subscriber},
     topic_definition::topic::Topic,
+    xtypes::type_support::TypeSupport,
 };
 
 #[derive(DdsType)]
@@ -26,21 +27,37 @@ struct Text {
     data: String,
 }
 
+#[derive(DdsType)]
+#[dust_dds(extensibility = "final")]
+struct KeyedString {
+    #[dust_dds(key)]
+    key: String,
+    value: String,
+}
+
+/// A std_msgs/String whose text is a key.
+#[derive(DdsType)]
+#[dust_dds(extensibility = "final")]
+struct KeyString {
+    #[dust_dds(key)]
+    data: String,
+}
+
 /// Says events of a reader: to ask for its statuses is not implemented.
 struct Events {
     topic: String,
 }
 
-impl DataReaderListener<Text> for Events {
-    async fn on_requested_deadline_missed(&mut self, _: DataReaderAsync<Text>, _: RequestedDeadlineMissedStatus) {
+impl<T: Send + 'static> DataReaderListener<T> for Events {
+    async fn on_requested_deadline_missed(&mut self, _: DataReaderAsync<T>, _: RequestedDeadlineMissedStatus) {
         event(&self.topic, "deadline");
     }
 
-    async fn on_requested_incompatible_qos(&mut self, _: DataReaderAsync<Text>, status: RequestedIncompatibleQosStatus) {
+    async fn on_requested_incompatible_qos(&mut self, _: DataReaderAsync<T>, status: RequestedIncompatibleQosStatus) {
         event(&self.topic, &format!("incompatible {}", status.last_policy_id));
     }
 
-    async fn on_liveliness_changed(&mut self, _: DataReaderAsync<Text>, status: LivelinessChangedStatus) {
+    async fn on_liveliness_changed(&mut self, _: DataReaderAsync<T>, status: LivelinessChangedStatus) {
         if status.not_alive_count > 0 {
             event(&self.topic, "not_alive");
         }
@@ -51,22 +68,19 @@ struct Program {
     participant: DomainParticipant,
     publisher: Publisher,
     subscriber: Subscriber,
-    writers: HashMap<String, DataWriter<Text>>,
-    readers: HashMap<String, DataReader<Text>>,
+    writers: HashMap<String, Box<dyn Fn(String) -> Result<(), String>>>,
+    readers: Vec<Box<dyn Fn()>>,
 }
 
 impl Program {
-    fn topic(&self, name: &str) -> Topic {
-        let kind = "std_msgs::msg::dds_::String_";
+    fn topic<T: TypeSupport>(&self, name: &str, kind: Kind) -> Topic {
         self.participant
-            .create_topic::<Text>(&format!("rt{name}"), kind, QosKind::Default, NO_LISTENER, NO_STATUS)
+            .create_topic::<T>(&format!("rt{name}"), kind.name(), QosKind::Default, NO_LISTENER, NO_STATUS)
             .unwrap()
     }
-}
 
-impl Participant for Program {
-    fn write(&mut self, topic: &str, qos: &Qos) {
-        let given = DataWriterQos {
+    fn write_as<T: TypeSupport + Send + 'static>(&mut self, name: &str, qos: &Qos, made: fn(String) -> T) {
+        let given = QosKind::Specific(DataWriterQos {
             reliability: reliability(qos),
             durability: durability(qos),
             history: history(qos),
@@ -74,45 +88,67 @@ impl Participant for Program {
             lifespan: LifespanQosPolicy { duration: offered(qos.lifespan) },
             liveliness: liveliness(qos, offered),
             ..Default::default()
-        };
-        let writer = self.publisher.create_datawriter(&self.topic(topic), QosKind::Specific(given), NO_LISTENER, NO_STATUS);
-        self.writers.insert(topic.to_string(), writer.unwrap());
+        });
+        let topic = self.topic::<T>(name, qos.kind);
+        let writer = self.publisher.create_datawriter::<T>(&topic, given, NO_LISTENER, NO_STATUS).unwrap();
+        let write = move |text| writer.write(made(text), None).map_err(|error| format!("{error:?}"));
+        self.writers.insert(name.to_string(), Box::new(write));
     }
 
-    fn read(&mut self, topic: &str, qos: &Qos) {
-        let given = DataReaderQos {
+    fn read_as<T: TypeSupport + Send + 'static>(&mut self, name: &str, qos: &Qos, text: fn(T) -> String) {
+        let given = QosKind::Specific(DataReaderQos {
             reliability: reliability(qos),
             durability: durability(qos),
             history: history(qos),
             deadline: DeadlineQosPolicy { period: requested(qos.deadline) },
             liveliness: liveliness(qos, requested),
             ..Default::default()
-        };
-        let events = Some(Events { topic: topic.to_string() });
+        });
+        let name = name.to_string();
+        let events = Some(Events { topic: name.clone() });
         let told = &[
             StatusKind::RequestedDeadlineMissed,
             StatusKind::RequestedIncompatibleQos,
             StatusKind::LivelinessChanged,
         ];
-        let reader = self.subscriber.create_datareader(&self.topic(topic), QosKind::Specific(given), events, told);
-        self.readers.insert(topic.to_string(), reader.unwrap());
+        let topic = self.topic::<T>(&name, qos.kind);
+        let reader = self.subscriber.create_datareader::<T>(&topic, given, events, told).unwrap();
+        self.readers.push(Box::new(move || {
+            // It is an error if there is none.
+            for sample in reader.take(1000, ANY_SAMPLE_STATE, ANY_VIEW_STATE, ANY_INSTANCE_STATE).unwrap_or_default() {
+                if let Some(message) = sample.data {
+                    heard(&name, &text(message));
+                }
+            }
+        }));
+    }
+}
+
+impl Participant for Program {
+    fn write(&mut self, topic: &str, qos: &Qos) {
+        match qos.kind {
+            Kind::String => self.write_as(topic, qos, |data| Text { data }),
+            Kind::KeyedString => self.write_as(topic, qos, |value| KeyedString { key: key_of(&value), value }),
+            Kind::KeyString => self.write_as(topic, qos, |data| KeyString { data }),
+        }
+    }
+
+    fn read(&mut self, topic: &str, qos: &Qos) {
+        match qos.kind {
+            Kind::String => self.read_as(topic, qos, |message: Text| message.data),
+            Kind::KeyedString => self.read_as(topic, qos, |message: KeyedString| message.value),
+            Kind::KeyString => self.read_as(topic, qos, |message: KeyString| message.data),
+        }
     }
 
     fn publish(&mut self, topic: &str, text: String) {
-        if let Err(error) = self.writers[topic].write(Text { data: text }, None) {
-            event(topic, &format!("unwritten {error:?}"));
+        if let Err(error) = self.writers[topic](text) {
+            event(topic, &format!("unwritten {error}"));
         }
     }
 
     fn poll(&mut self) {
-        for (topic, reader) in &self.readers {
-            // It is an error if there is none.
-            for sample in reader.take(1000, ANY_SAMPLE_STATE, ANY_VIEW_STATE, ANY_INSTANCE_STATE).unwrap_or_default() {
-                if let Some(text) = sample.data {
-                    heard(topic, &text.data);
-                }
-            }
-        }
+        self.readers.iter().for_each(|read| read());
     }
 }
 
@@ -156,7 +192,7 @@ fn main() {
         subscriber: participant.create_subscriber(QosKind::Default, NO_LISTENER, NO_STATUS).unwrap(),
         participant,
         writers: HashMap::new(),
-        readers: HashMap::new(),
+        readers: Vec::new(),
     };
     run(&mut program);
 }

@@ -1,14 +1,17 @@
 //! A node of ros2-client.
 //!
 //! Beside the lines of `dds_programs`: ``serve NAME MAPPING``, ``call NAME MAPPING`` of std_srvs/SetBool (``answered NAME MESSAGE``),
-//! ``tick SECOND`` to /clock. Its parameter is ``rate``.
+//! ``set NODE`` (``answered NODE``), ``tick SECOND`` to /clock. Its parameter is ``rate``.
 
 use std::{collections::HashMap, thread};
 
 use dds_programs::{Participant, Qos, domain, event, heard, run};
 use ros2_client::{
     Client, Context, ContextOptions, Message, MessageTypeName, Name, Node, NodeName, NodeOptions, ParameterValue,
-    Publisher, QosProfile, Server, ServiceMapping, ServiceTypeName, Subscription, builtin_interfaces, qos,
+    Publisher, QosProfile, Server, ServiceMapping, ServiceTypeName, Subscription, builtin_interfaces,
+    parameters::raw::Parameter,
+    qos,
+    rcl_interfaces::{GetParametersRequest, GetParametersResponse, SetParametersRequest, SetParametersResponse},
 };
 use serde::{Deserialize, Serialize};
 
@@ -25,6 +28,13 @@ struct Response {
 }
 impl Message for Response {}
 
+/// The parameter `rate` of another node.
+struct Rate {
+    sets: Client<SetParametersRequest, SetParametersResponse>,
+    gets: Client<GetParametersRequest, GetParametersResponse>,
+    number: i64,
+}
+
 struct Program {
     node: Node,
     writers: HashMap<String, Publisher<String>>,
@@ -32,6 +42,7 @@ struct Program {
     servers: Vec<Server<Request, Response>>,
     clients: HashMap<String, Client<Request, Response>>,
     clock: Option<Publisher<builtin_interfaces::Time>>,
+    rates: HashMap<String, Rate>,
 }
 
 impl Participant for Program {
@@ -71,6 +82,24 @@ impl Participant for Program {
                 });
                 let _ = client.send_request(Request { data: true });
             }
+            ["set", other] => {
+                let node = &mut self.node;
+                let rate = self.rates.entry(other.to_string()).or_insert_with(|| {
+                    let (sets, gets) = (format!("{other}/set_parameters"), format!("{other}/get_parameters"));
+                    let kind = |name| ServiceTypeName::new("rcl_interfaces", name);
+                    let by = ServiceMapping::Enhanced;
+                    Rate {
+                        sets: node.create_client(by, &name(&sets), &kind("SetParameters"), calls(), calls()).unwrap(),
+                        gets: node.create_client(by, &name(&gets), &kind("GetParameters"), calls(), calls()).unwrap(),
+                        number: 100,
+                    }
+                });
+                rate.number += 1;
+                let value = ParameterValue::Integer(rate.number).into();
+                let _ = rate.sets.send_request(SetParametersRequest {
+                    parameter: vec![Parameter { name: "rate".to_string(), value }],
+                });
+            }
             ["tick", second] => {
                 let node = &mut self.node;
                 let clock = self.clock.get_or_insert_with(|| {
@@ -99,6 +128,18 @@ impl Participant for Program {
         for (service, client) in &self.clients {
             while let Ok(Some((_, response))) = client.receive_response() {
                 println!("answered {service} {}", response.message);
+            }
+        }
+        for (node, rate) in &self.rates {
+            while let Ok(Some((_, response))) = rate.sets.receive_response() {
+                if response.results.iter().all(|result| result.successful) {
+                    let _ = rate.gets.send_request(GetParametersRequest { names: vec!["rate".to_string()] });
+                }
+            }
+            while let Ok(Some((_, response))) = rate.gets.receive_response() {
+                if response.values.iter().any(|value| value.int_value == rate.number) {
+                    println!("answered {node}");
+                }
             }
         }
     }
@@ -152,6 +193,7 @@ fn main() {
         servers: Vec::new(),
         clients: HashMap::new(),
         clock: None,
+        rates: HashMap::new(),
     };
     run(&mut program);
 }
