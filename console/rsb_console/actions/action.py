@@ -63,8 +63,8 @@ class OnRobot(NamedTuple):
         key: Textual key name there.
         suits: whether it may act on a topic of that robot, so that the screen shows the key.
         run: acts on one of the topics of that robot, or says why on none; a coroutine function of a
-            `rsb_console.console_api.Console`, the topics, and what returns the `CameraSight` of the robot's camera, or None
-            if the screen shows none.
+            `rsb_console.console_api.Console`, the topics, and a function that returns the age of the camera's picture
+            on the screen, or None if there is none.
     """
 
     key: str
