@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from rsb_bridge.feature import late_names
 
 if TYPE_CHECKING:
-    from rsb_console.actions.action import Action, Beginning, Group, KeyChapter, OnRobot, late
+    from rsb_console.actions.action import Action, Beginning, CameraSight, Group, KeyChapter, OnRobot, late
     from rsb_console.actions.all_actions import ACTIONS
     from rsb_console.command.argument_values import count, seconds, within
     from rsb_console.command.formatting import json_line
@@ -52,7 +52,7 @@ if TYPE_CHECKING:
 
 _NAMES = {
     "rsb_console.actions.all_actions": ("ACTIONS",),
-    "rsb_console.actions.action": ("Action", "Beginning", "Group", "KeyChapter", "OnRobot", "late"),
+    "rsb_console.actions.action": ("Action", "Beginning", "Group", "KeyChapter", "OnRobot", "CameraSight", "late"),
     "rsb_console.command.argument_values": ("count", "seconds", "within"),
     "rsb_console.command.formatting": ("json_line",),
     "rsb_console.command.remote_arguments": (

@@ -44,6 +44,18 @@ class KeyChapter(NamedTuple):
     keys: tuple[tuple[str, str], ...]
 
 
+class CameraSight(NamedTuple):
+    """The age of what an operator sees of a robot.
+
+    Attributes:
+        age: s since the picture on the screen came to the robot's bridge, or None if that is unknown.
+        still: s for which its content had not changed by then.
+    """
+
+    age: float | None
+    still: float = 0.0
+
+
 class OnRobot(NamedTuple):
     """An action on a screen that shows a robot instead of the list of topics, such as its camera's picture.
 
@@ -51,12 +63,13 @@ class OnRobot(NamedTuple):
         key: Textual key name there.
         suits: whether it may act on a topic of that robot, so that the screen shows the key.
         run: acts on one of the topics of that robot, or says why on none; a coroutine function of a
-            `rsb_console.console_api.Console` and the topics.
+            `rsb_console.console_api.Console`, the topics, and a function that returns the age of the camera's picture
+            on the screen, or None if there is none.
     """
 
     key: str
     suits: Callable[[RouteSnapshot], bool]
-    run: Callable[[Any, Sequence[RouteSnapshot]], Awaitable[None]]
+    run: Callable[[Any, Sequence[RouteSnapshot], Callable[[], CameraSight | None]], Awaitable[None]]
 
 
 class Beginning(NamedTuple):

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from rsb_bridge.feature_api import Bridge, Command, EnginePart
-    from rsb_console.feature_console import Action, AddCommand, Complete
+    from rsb_console.feature_console import Action, AddCommand, Complete, ConsoleSetting
 
 
 class Driving(Feature):
@@ -25,6 +25,11 @@ class Driving(Feature):
         from rsb_extras.driving.publishing import Publishing  # noqa: PLC0415
 
         return (Publishing(bridge),)
+
+    def console_settings(self) -> Iterable[ConsoleSetting[float]]:
+        from rsb_extras.driving.picture_lock import PICTURE_AGE  # noqa: PLC0415
+
+        return (PICTURE_AGE,)
 
     def subcommands(self, add: AddCommand, complete: Complete) -> None:
         from rsb_extras.driving.pub_arguments import add_pub  # noqa: PLC0415

@@ -30,11 +30,12 @@ from rsb_console.screens.main import MainText
 from rsb_console.screens.take_over import AskHolderScreen
 from rsb_console.terminal.input_queue import SEEN_AFTER, InputGate
 from rsb_extras.driving.landing import ByHandText, Landing, hearing
+from rsb_extras.driving.picture_lock import PICTURE_AGE, PictureLock
 from rsb_extras.driving.publish_requests import DraftMessage, Publish
 from rsb_extras.driving.steering import APART_AT_MOST, STOPS, WAYS, Steering
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
     from concurrent.futures import Future
 
     from textual.app import ComposeResult
@@ -43,7 +44,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.feature_api import EngineApi, RouteSnapshot, Snapshot
     from rsb_bridge.model.by_hand import VelocityLimits
-    from rsb_console.feature_console import Console, MainScreen
+    from rsb_console.feature_console import CameraSight, Console, MainScreen
 
 TWIST, TWIST_STAMPED = (f"geometry_msgs/msg/{name}" for name in ("Twist", "TwistStamped"))
 _RATE = 10.0
@@ -198,21 +199,26 @@ async def drive_selected(screen: MainScreen) -> None:
         await drive(console, row)
 
 
-async def drive_one(console: Console, routes: Sequence[RouteSnapshot]) -> None:
+async def drive_one(
+    console: Console, routes: Sequence[RouteSnapshot], sight: Callable[[], CameraSight | None] = lambda: None
+) -> None:
     """Drive on the one topic of a robot's that can be driven, or the one of several that is armed."""
     driven = [each for each in routes if suits(each)]
     armed = [each for each in driven if each.arming is not None and each.arming.armed]
     if len(only := armed or driven) == 1:
-        await drive(console, only[0])
+        await drive(console, only[0], sight)
     else:
         text = DriveText.SEVERAL_HERE() if only else DriveText.NONE_HERE()
         console.notify(text, severity="warning", markup=False)
 
 
-async def drive(console: Console, route: RouteSnapshot) -> None:
+async def drive(console: Console, route: RouteSnapshot, sight: Callable[[], CameraSight | None] = lambda: None) -> None:
     """Open the screen on a topic that can be driven, after a question if that moves other robots, too.
 
     Only from a worker.
+
+    Args:
+        sight: as `PictureLock` takes it.
     """
     type_name = full_type(route)
     if not type_name and console.engine is not None:
@@ -227,7 +233,8 @@ async def drive(console: Console, route: RouteSnapshot) -> None:
         means = f"Its messages cross to {join_first(robots, _NAMED)}: all of them move that are armed."
         if not await console.ask(ConfirmScreen(title, means, "Drive", Effect.MOVES)):
             return
-    await console.ask(DriveScreen(console, route, type_name))
+    lock = PictureLock(sight, PICTURE_AGE.of(console.preferences))
+    await console.ask(DriveScreen(console, route, type_name, lock))
 
 
 class DriveScreen(GuardedScreen, SideBox[None]):
@@ -254,7 +261,7 @@ class DriveScreen(GuardedScreen, SideBox[None]):
     # A disarms, or opens a question that is guarded; n keeps what this console holds.
     SAFE_KEYS = frozenset({*STOPS, "escape", "q", "A", "n", "ctrl+c"})
 
-    def __init__(self, console: Console, route: RouteSnapshot, type_name: str) -> None:
+    def __init__(self, console: Console, route: RouteSnapshot, type_name: str, lock: PictureLock) -> None:
         super().__init__()
         self.console = console
         self._route = route
@@ -268,6 +275,7 @@ class DriveScreen(GuardedScreen, SideBox[None]):
         self._landed_at = 0.0
         self._reports = ""
         self._steering = Steering(self._is_relayed)
+        self._lock = lock
         self._problem = ""
         self._held_by: tuple[str, bool] | None = None
         self._ticket = self._refusals = 0
@@ -303,7 +311,8 @@ class DriveScreen(GuardedScreen, SideBox[None]):
         while True:
             began = time.monotonic()
             forward, turn = self._asked(began)
-            if forward or turn:
+            moves = bool(forward or turn)
+            if moves:
                 sent_until = began + _RESTS_AFTER
             if began < sent_until:
                 try:
@@ -311,7 +320,8 @@ class DriveScreen(GuardedScreen, SideBox[None]):
                         continue  # the keys may mean something else by now
                     self._problem = ""
                 except EngineError as error:
-                    self._problem, sent_until = str(error), 0.0
+                    self._problem, sent_until, moves = str(error), 0.0, False
+            self._lock.note_motion(began, moves=moves)
             await asyncio.sleep(max(0.0, began + 1 / _RATE - time.monotonic()))
 
     async def _send(self, forward: float, turn: float) -> bool:
@@ -444,12 +454,12 @@ class DriveScreen(GuardedScreen, SideBox[None]):
             moves = DriveText.NOT_WHILE_DISARMED()
         else:
             moving = f"forward {forward:+.2f} m/s  turn {turn:+.2f} rad/s"
-            moves = moving if forward or turn else self._why_at_rest(now)
+            moves = self._lock.problem(now) or (moving if forward or turn else self._why_at_rest(now))
         self._forget_refusal(route)
         speed = f"keys: {self._steering.speed:.2f} m/s, {self._steering.turn:.2f} rad/s"
         problem = "keys came late, all at once: they are ignored" if self._steering.came_late(now) else self._problem
         motion = "" if self._detached else in_hand(self._route, self.console.snapshot())
-        texts = (f"{moves}   ({speed})", self._moved(), motion, "" if self._detached else problem)
+        texts = (f"{moves}   ({speed})", self._moved(), motion, self._lock.age(now), "" if self._detached else problem)
         first, *others = map(escape_text, texts)
         is_armed = route is not None and route.arming is not None and route.arming.armed and not self._detached
         state = Content.styled(f" {self._state()} ", "$warning bold reverse") if is_armed else Content(self._state())
@@ -486,7 +496,7 @@ class DriveScreen(GuardedScreen, SideBox[None]):
 
     def _asked(self, now: float) -> tuple[float, float]:
         """Return the velocity that the keys ask at `now` (s), within the limits, to which the bridge reduces it too."""
-        velocity = self._steering.at(now)
+        velocity = (0.0, 0.0) if self._lock.problem(now) else self._steering.at(now)
         limits, _ = limits_on(self._route, self.console.snapshot())
         return velocity if limits is None else limits.reduced(*velocity)
 

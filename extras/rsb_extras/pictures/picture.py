@@ -242,6 +242,7 @@ class Picture(msgspec.Struct, frozen=True, omit_defaults=True):
     Attributes:
         content: the picture, or None before the first message, or with a problem.
         taken: ns since the epoch on the sending side's clock, when DDS received the newest message in it, or 0.
+            Messages of the same stamp and content count as the first of them: a camera that hangs repeats its last one.
         stamp: ns since the epoch, the newest message's own stamp (``header.stamp``), or 0.
         messages: received since the view began.
         size: bytes of the newest message.
@@ -252,6 +253,7 @@ class Picture(msgspec.Struct, frozen=True, omit_defaults=True):
         number: of the content, from 1; each other content of a view has another one. 0 within one side.
         is_unchanged: whether the content is left out, as it is the one that was sent with this number.
         numbers: all that can be plotted, if the wish asks for ``fields``; then there is no content.
+        changed: ns as of `taken`, when the first message with the newest one's content came, whatever their stamps.
     """
 
     content: Pixels | Cells | Series | None = None
@@ -266,6 +268,7 @@ class Picture(msgspec.Struct, frozen=True, omit_defaults=True):
     number: Annotated[int, Meta(ge=0, le=(1 << 63) - 1)] = 0
     is_unchanged: bool = False
     numbers: Annotated[tuple[FieldNumber, ...], Meta(max_length=MOST_NUMBERS)] = ()
+    changed: int = 0
 
 
 class Viewed(msgspec.Struct, frozen=True, omit_defaults=True):

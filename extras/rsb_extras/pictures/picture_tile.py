@@ -14,7 +14,7 @@ from textual import work
 from textual.binding import Binding
 
 from rsb_bridge.feature_api import EngineError, State, Wording, escape_text, other_side, replace_file
-from rsb_console.feature_console import ACTIONS, DIALOG
+from rsb_console.feature_console import ACTIONS, DIALOG, CameraSight
 from rsb_console.notation import formats
 from rsb_extras.pictures.drawing import VIEWS, is_map
 from rsb_extras.pictures.field_chooser import FieldChooser
@@ -125,6 +125,8 @@ class PictureTile(Tile):
         self._blocks: list[Row] = []
         """The same in characters."""
         self._came = time.monotonic()
+        self._on_terminal: tuple[Viewed | None, float] | None = None
+        """The picture that the terminal has, and when it came to this console."""
         self._problem = ""
         self._unreadable = ""
         """Why the newest image cannot be drawn, or an empty string."""
@@ -146,6 +148,16 @@ class PictureTile(Tile):
     def on_mount(self) -> None:
         # The age of a picture grows without a new one.
         self.set_interval(1.0, self._entitle)
+
+    def sight(self) -> CameraSight | None:
+        content, type_name = self.content, self.subject.type_name
+        if not (isinstance(content, Pixels) if content else VIEWS.get(type_name) == VIEWS["sensor_msgs/msg/Image"]):
+            return None
+        viewed, came = self._on_terminal or (None, 0.0)
+        if viewed is None or viewed.age is None:
+            return CameraSight(None)
+        age = self.console.as_seen(viewed.age + time.monotonic() - came)
+        return CameraSight(age, (viewed.picture.taken - viewed.picture.changed) / 1e9)
 
     def begin(self) -> None:
         self.fit()
@@ -200,7 +212,9 @@ class PictureTile(Tile):
                 self._viewed, self._came = viewed, time.monotonic()
             self._waiting = picture.waiting
             await self._show_content()
+            came = self._viewed, self._came
             await self.is_taken()
+            self._on_terminal = came
             if self._look.spare():
                 self.fit()
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from rsb_bridge.feature_api import Event, RouteSnapshot
-    from rsb_console.feature_console import Console
+    from rsb_console.feature_console import CameraSight, Console
     from rsb_console.terminal.terminal_facts import TerminalFacts
     from rsb_extras.pictures.layouts import Subject
     from rsb_extras.pictures.picture_rows import Row
@@ -68,6 +68,10 @@ class Tile(PicturePane):
         """Those to the robot that it shows: nobody watches another one here, whose map is not this one."""
         where = self.where
         return [each for each in self.console.snapshot().routes if where in ("", each.link)]
+
+    def sight(self) -> CameraSight | None:
+        """Return how old the camera's picture in sight is, or None if it shows none."""
+        return None
 
     def robot_keys(self) -> list[str]:
         """Return the keys of actions that its robot takes."""

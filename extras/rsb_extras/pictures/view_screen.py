@@ -203,7 +203,7 @@ class ViewScreen(FullScreen[bool], DrawsChangesOnly[bool]):
     async def action_on_robot(self, name: str) -> None:
         """Do an action on the robot of the tile, which stays in sight."""
         if self.app.check_action(name, ()):
-            await ON_ROBOT[name].run(self.console, self.pane.routes)
+            await ON_ROBOT[name].run(self.console, self.pane.routes, self.pane.sight)
 
     def action_zoom_tile(self) -> None:
         """Give one tile the whole screen, or show all again."""

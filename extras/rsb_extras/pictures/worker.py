@@ -11,7 +11,7 @@ import os
 import resource
 import signal
 import sys
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
 import msgspec
 
@@ -34,6 +34,8 @@ VIEWS_AT_MOST = 64
 TYPES_AT_MOST = 64
 """Descriptions that are remembered."""
 _ELEMENTS, _STEPS = 100_000, 500_000
+_ENCAPSULATION, _CONTENT_AT = 4, 12
+"""Bytes before a message's first field, and before the second one of a header, which begins with the stamp."""
 """Messages in an array, and values, that are read from one message at most."""
 _NICE = 10
 """On a busy core, the bridge's messages come before pictures."""
@@ -98,14 +100,37 @@ class Task(msgspec.Struct, frozen=True, array_like=True):
     ended: bool = False
 
 
+class _Newest(NamedTuple):
+    """The newest message that a view took.
+
+    Attributes:
+        taken, stamp, changed: as in `Picture`.
+    """
+
+    taken: int = 0
+    stamp: int = 0
+    changed: int = 0
+    payload: bytes = b""
+
+    def followed_by(self, sample: TakenSample, stamp: int) -> _Newest:
+        begins = _CONTENT_AT if stamp else _ENCAPSULATION
+        is_same = memoryview(self.payload)[begins:] == memoryview(sample.payload)[begins:]
+        if is_same and stamp and stamp == self.stamp:
+            return self
+        taken = max(self.taken, sample.stamp)
+        return _Newest(taken, stamp, self.changed if is_same else taken, sample.payload)
+
+    def noted_on(self, picture: Picture) -> Picture:
+        return msgspec.structs.replace(picture, taken=self.taken, stamp=self.stamp, changed=self.changed)
+
+
 class Artist:
     """Draws the pictures of all views."""
 
     def __init__(self) -> None:
         self._types: dict[tuple[str, str], TypeDescription] = {}
         self._views: dict[int, tuple[str, View]] = {}
-        self._newest: dict[int, tuple[int, int]] = {}
-        """When the newest message that each view took came, and its own stamp, in ns since the epoch."""
+        self._newest: dict[int, _Newest] = {}
 
     def do(self, task: Task) -> Picture | None:
         """Draw a picture, or return None if the task only ends a view."""
@@ -113,14 +138,8 @@ class Artist:
             self._views.pop(task.view, None)
             self._newest.pop(task.view, None)
             return None
-        taken, stamp = self._newest.get(task.view, (0, 0))
-        about = Picture(
-            taken=taken,
-            stamp=stamp,
-            messages=task.seen,
-            size=task.size,
-            type_name=sanitize_text(task.type_name, 255),
-        )
+        about = Picture(messages=task.seen, size=task.size, type_name=sanitize_text(task.type_name, 255))
+        about = self._newest.get(task.view, _Newest()).noted_on(about)
         try:
             picture = self._draw(task, about)
         except MemoryError:
@@ -151,8 +170,8 @@ class Artist:
                     TakenMessage(sample.topic, sample.type_name, decoded.message, time, sample.author, sample.is_asked)
                 )
                 if sample.is_asked:  # a picture is as old as what the viewer asked for
-                    taken, _ = self._newest.get(task.view, (0, 0))
-                    self._newest[task.view] = max(taken, sample.stamp), _stamp_of(decoded.message)
+                    newest = self._newest.get(task.view, _Newest())
+                    self._newest[task.view] = newest.followed_by(sample, _stamp_of(decoded.message))
             except UndrawableError as error:
                 problem = str(error)
         try:
@@ -165,12 +184,9 @@ class Artist:
             if problem:  # why nothing could be taken says more than that nothing is there
                 raise UndrawableError(problem) from None
             raise
-        taken, stamp = self._newest.get(task.view, (0, 0))
         return msgspec.structs.replace(
-            about,
+            self._newest.get(task.view, _Newest()).noted_on(about),
             content=drawn.content,
-            taken=taken,
-            stamp=stamp,
             notes=tuple(sanitize_text(each, 255) for each in drawn.notes[:16]),  # docs/picture-protocol.md
             problem=sanitize_text(problem or drawn.problem),
             numbers=drawn.numbers,

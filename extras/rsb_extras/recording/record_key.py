@@ -10,17 +10,14 @@ from rsb_extras.recording.keep_last import KeepLast
 from rsb_extras.recording.record_command import lines_about
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from rsb_bridge.feature_api import RouteSnapshot
     from rsb_console.feature_console import Console, MainScreen
 
 
 async def record_last(screen: MainScreen) -> None:
-    await record_beside(screen.console, ())
+    await record_beside(screen.console)
 
 
-async def record_beside(console: Console, _: Sequence[RouteSnapshot]) -> None:
+async def record_beside(console: Console, *_: object) -> None:
     """Record all topics, whichever robot a screen shows."""
     if console.engine is None:
         return

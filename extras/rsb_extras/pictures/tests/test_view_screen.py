@@ -557,6 +557,30 @@ async def test_action_on_robot_gets_its_topics_only(app: ConsoleApp, pilot: Pilo
     await shown(pilot, "Drive /cmd_vel")
 
 
+PHOTO = Pixels(2, 2, bytes(12))
+CAMERA = "sensor_msgs/msg/Image"
+
+
+@pytest.mark.skipif("drive" not in BY_ID, reason="the core alone")
+@pytest.mark.parametrize("content", [PHOTO, CHARACTERS], ids=["camera", "scan"])
+def test_driving_by_camera_locks_with_old_picture(content: Any) -> None:
+    @looking()
+    async def steps(app: ConsoleApp, pilot: Pilot[None]) -> None:
+        app.preferences.features["picture_age"] = 120.0  # more than a slow machine takes for the test
+        put(app, route(SCAN), replace(DRIVEN, arming=ArmingSnapshot(armed=True)))
+        await comes(pilot, viewed(content, type_name=CAMERA, age=0.1))
+        await pilot.press("d")
+        await shown(pilot, "no key is held")
+        await comes(pilot, viewed(content, type_name=CAMERA, age=500.0))
+        await shown(pilot, "locked: the picture is" if content is PHOTO else "no key is held")
+        await comes(pilot, viewed(content, type_name=CAMERA, age=0.1))
+        await shown(pilot, "no key is held")
+        await comes(pilot, viewed(content, type_name=CAMERA, age=None))
+        await shown(pilot, "locked: no picture yet" if content is PHOTO else "no key is held")
+
+    steps()
+
+
 # -- the cursor of a plot
 
 PLOT = Series(0.0, 1.0, (Curve("x", tuple(map(float, range(100))), tuple(map(float, range(100))), 99.0, 50.0),))
