@@ -45,6 +45,7 @@ class ConsoleShell(Protocol):
         preferences: the user's themes and keys.
         config: the folder that those are in.
         terminal: file descriptor of the terminal.
+        refresh_rate: how often a second it shows the present state.
         writer: tells what the terminal has of the screen.
     """
 
@@ -143,7 +144,8 @@ class Console(ConsoleShell, Protocol):
     # --- the engine
 
     @property
-    def linked(self) -> bool: ...
+    def linked(self) -> bool:
+        """Whether any link is up."""
 
     def snapshot(self) -> Snapshot:
         """Return the engine's state, or an empty one without an engine.

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import msgspec
+import pytest
 from std_msgs.msg import Int32
 from std_srvs.srv import SetBool
 from tests.support.bridge import carries, find, happened, heard, link, now
@@ -12,6 +13,7 @@ from tests.support.domain import text
 from tests.support.waiting import eventually
 
 from rsb_bridge.config.session_file import load, save
+from rsb_bridge.link.pattern_hints import MeaningText
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Client, Grant, Topic
 from rsb_bridge.model.snapshot import State
@@ -55,6 +57,43 @@ def test_what_client_publishes_is_bridged_as_it_comes(bridge: Bridge, robot: Dom
     }
     assert (pattern(client, "/camera/**").state, pattern(client, "/camera/**").routes) == (State.OK, 1)
     assert client.session.topics == (CAMERA, Topic("/*", "transmit", remote_topic="/robot1/*"))
+
+
+@pytest.mark.parametrize("lister", ["client", "server"])
+def test_pattern_that_matches_nothing_names_what_it_may_mean(
+    lister: str, bridge: Bridge, robot: Domain, pc: Domain
+) -> None:
+    """In both graphs: a similar name, one in a namespace, or one that matches on the side that it does not follow."""
+    listed = (
+        Topic("/cam/*", "transmit"),
+        Topic("/arm/*", "transmit"),
+        Topic("/scan/*", "receive"),
+        Topic("/cmd/*", "receive"),
+        Topic("/imu/*", "transmit"),
+    )
+    for name in ("/camera/image", "/scan/front", "/robot/imu/data"):
+        robot.publisher(name)
+    for name in ("/arm/state", "/cmds/vel", "/imu_/raw"):
+        pc.publisher(name)
+    client = Client("robot1", key_file=bridge.key_file, topics=listed if lister == "server" else ())
+    server = bridge.server(clients=(client,))
+    own = listed if lister == "client" else ()
+    engine = {"server": server, "client": bridge.client(*own, allow=(Grant("/**"),))}[lister]
+    here, there = ("here", "on the other side") if lister == "client" else ("on the other side", "here")
+    expected = {
+        "/cam/*": MeaningText.NEAR(name="/camera/image"),
+        "/arm/*": MeaningText.OTHER_WAY(name="/arm/state", where=there, direction="receive"),
+        "/scan/*": MeaningText.OTHER_WAY(name="/scan/front", where=here, direction="transmit"),
+        "/cmd/*": MeaningText.NEAR(name="/cmds/vel"),
+        "/imu/*": MeaningText.NEAR(name="/robot/imu/data"),
+    }
+
+    def hints() -> dict[str, str]:
+        reasons = {each.spec.topic: each.reason for each in link(engine).patterns}
+        return {name: "".join(reason.partition(";")[1:]) for name, reason in reasons.items()}
+
+    eventually(lambda: hints() == expected)
+    assert all(each.state is State.WAITING for each in link(engine).patterns)
 
 
 def test_what_server_publishes_is_followed_by_client(bridge: Bridge, robot: Domain, pc: Domain) -> None:

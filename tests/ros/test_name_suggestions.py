@@ -11,7 +11,16 @@ from tests.support.virtual_time import virtual_loop
 from rsb_bridge.model.calls import LANES
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.no_ros import NoRos
-from rsb_bridge.ros.ros_graph import Asked, NameSuggester, Searches, SimilarTopics, Sought, is_mistyped
+from rsb_bridge.ros.ros_graph import (
+    Asked,
+    Meant,
+    MeantTopics,
+    NameSuggester,
+    Searches,
+    SimilarTopics,
+    Sought,
+    is_mistyped,
+)
 from rsb_bridge.ros.ros_interface import Endpoint, RosError
 
 if TYPE_CHECKING:
@@ -129,6 +138,26 @@ def test_only_what_is_published_and_alike_is_named() -> None:
 def test_derived_topic_is_no_mistyped_one(other: str, meant: bool) -> None:
     """Nodes derive topics of the same type from a topic; their names have most of its letters."""
     assert is_mistyped("/robot1/scan", other) is meant
+
+
+@pytest.mark.parametrize(
+    ("pattern", "name", "matching", "meant"),
+    [
+        ("/cam/*", "/camera/image", False, True),
+        ("/cam/**", "/camera/front/image", False, True),
+        ("/cam/*", "/robot1/cam/image", False, True),
+        ("/robot1/cam/*", "/cam/image", False, True),
+        ("/cam*/image", "/lidar/image", False, False),
+        ("/cam/*", "/lidar/image", False, False),
+        ("/cam/*", "/cam/front/image", False, False),
+        ("/cam/*", "/cam/image", False, False),
+        ("/cam/*", "/cam/image", True, True),
+        ("/**", "/cam/image", True, False),
+        ("/cam/*", "/camera/_hidden", False, False),
+    ],
+)
+def test_pattern_that_matches_nothing_may_mean_this(pattern: str, name: str, matching: bool, meant: bool) -> None:
+    assert found(MeantTopics, _Topics(name), Meant(pattern, matching)) == (name if meant else "")
 
 
 class _Lidar(NoRos):

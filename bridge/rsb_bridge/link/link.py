@@ -13,6 +13,7 @@ from rsb_bridge.link.link_entries import LinkEntries
 from rsb_bridge.link.link_fault import LinkFault
 from rsb_bridge.link.link_patterns import LinkPatterns
 from rsb_bridge.link.path_watch import PathWatch
+from rsb_bridge.link.pattern_hints import PatternHints
 from rsb_bridge.link.proposed_routes import ProposedTopics
 from rsb_bridge.link.questions import TopicLists, TypeQuestions
 from rsb_bridge.link.route_table import RouteTable
@@ -251,7 +252,7 @@ class Link(BaseLink):
         self.table = self.extend(RouteTable(self))
         self.proposed = self.extend(ProposedTopics(self, self.table))
         self.unsaved = self.extend(UnsavedChanges(self))
-        self.patterns = self.extend(LinkPatterns(self, self.table, self.proposed))
+        self.patterns = self.extend(LinkPatterns(self, self.table, self.proposed, self.extend(PatternHints(self))))
         self.entries = LinkEntries(self, self.table, self.proposed, self.patterns)
         self.topic_lists = self.extend(TopicLists(self))
         self.type_questions = self.extend(TypeQuestions(self))

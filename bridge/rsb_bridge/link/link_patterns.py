@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.link.base_link import BaseLink
     from rsb_bridge.link.graph_watch import Named, Names
+    from rsb_bridge.link.pattern_hints import PatternHints
     from rsb_bridge.link.proposed_routes import ProposedTopics
     from rsb_bridge.link.route_table import RouteTable
     from rsb_bridge.model.session import Identity, Kind, Topic
@@ -105,8 +106,9 @@ class LinkPatterns(Extension):
         followed: what the peer follows, or None if it follows no names.
     """
 
-    def __init__(self, link: BaseLink, table: RouteTable, proposed: ProposedTopics) -> None:
+    def __init__(self, link: BaseLink, table: RouteTable, proposed: ProposedTopics, hints: PatternHints) -> None:
         self._context = link.context
+        self._hints = hints
         self._link = link
         self.followed: PeerSubscription | None = None
         self.messages = {Follow: self._asked, Followed: self._receive}
@@ -330,5 +332,5 @@ class LinkPatterns(Extension):
         if not count:
             side = f"in domain {self._context.domain_id}" if here else "on the other side"
             but = " except what it leaves out" if entry.topic.excepts else ""
-            return State.WAITING, f"nothing {side} matches {entry.source.text}{but}"
+            return State.WAITING, f"nothing {side} matches {entry.source.text}{but}{self._hints.of(entry)}"
         return State.OK, count

@@ -16,7 +16,8 @@ from rsb_bridge.installed_features import feature_names
 from rsb_bridge.link.connecting import find_servers
 from rsb_bridge.link.pending_connections import ConnectionStage, Limits, PendingConnection, PendingConnections, Rejected
 from rsb_bridge.link.refused_clients import CAUSES, RefusedClients
-from rsb_bridge.link.server_end import UNKNOWN_ROUTE, ServerEnd
+from rsb_bridge.link.server_channels import UNKNOWN_ROUTE
+from rsb_bridge.link.server_end import ServerEnd
 from rsb_bridge.link.topic_ports import DescriptorShare
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level

@@ -1,4 +1,4 @@
-"""Converts topics to proposals and back, and checks a peer's proposals against its rights."""
+"""Converts topics to proposals and back, compares the two, and checks a peer's against its rights and its room."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The endpoints that something has come to, as DDS tells: by events, or where it tells no events, by a wait set.
+"""Waits until something has come to endpoints, or the graph has changed: by DDS's events, or without these a wait set.
 
 By events, DDS calls libc's `eventfd_write` with the endpoint's own descriptor, and one epoll waits for all of them. So
 no code of ours runs on DDS's threads, nobody there wants the GIL, and endpoints that have nothing to say cost nothing.

@@ -7,8 +7,8 @@ import difflib
 from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
 
 from rsb_bridge.model.calls import LANES
-from rsb_bridge.model.names import OF_EVERY_NODE
-from rsb_bridge.model.patterns import is_hidden
+from rsb_bridge.model.names import OF_EVERY_NODE, is_bridge
+from rsb_bridge.model.patterns import Pattern, is_hidden
 from rsb_bridge.model.qos import match_publishers
 from rsb_bridge.model.snapshot import TopicInfo
 from rsb_bridge.ros.ros_interface import RosError
@@ -35,6 +35,8 @@ _MOST_NAMES = 2000
 """Names that a search compares. A round figure: other programs may put any number into the graph."""
 _COMPARED_AT_ONCE = 50
 """Names, in half a millisecond."""
+_NAMESPACES = 3
+"""Namespaces that a pattern may have too many. A round figure: the other side may ask, with a pattern of any length."""
 _PLAIN = "std_msgs/"
 """The package of types that tell nothing of what a topic is."""
 CALLED: tuple[Kind, ...] = tuple(kind for kind, lanes in LANES.items() if lanes)
@@ -129,6 +131,80 @@ class SimilarTopics(Searches[Sought]):
             if len(close) <= _COMPARED_AT_ONCE and len(published := [name for name in close if ends(name)]) == 1:
                 return published[0]
         return ""
+
+
+class Meant(NamedTuple):
+    """A pattern that matches nothing.
+
+    Attributes:
+        matching: whether a topic that it matches is sought, too: in the graph that it does not follow.
+    """
+
+    pattern: str
+    matching: bool
+
+
+class MeantTopics(Searches[Meant]):
+    """Finds a published topic that a pattern may mean."""
+
+    async def _answer(self, asked: Meant) -> str:
+        return await topic_meant(self._ros, asked, lambda _: True)
+
+
+async def topic_meant(ros: RosInterface, asked: Meant, may: Callable[[str], bool]) -> str:
+    """Return a topic that nodes besides bridges publish, and a pattern matches or may mean, or an empty string.
+
+    Args:
+        may: whether a name may be returned.
+
+    Raises:
+        RosError: the node is not running.
+    """
+    pattern, alike = Pattern(asked.pattern), _alike_patterns(asked.pattern)
+    found: dict[bool, str] = {}  # by whether it matches
+
+    def look(name: str) -> None:
+        matches = pattern.match(name) is not None
+        fits = (
+            asked.matching
+            if matches
+            else any(each.match(name) is not None for each in alike) or _is_alike(asked.pattern, name)
+        )
+        if fits and matches not in found and any(not is_bridge(each.node) for each in ros.publishers(name)):
+            found[matches] = name
+
+    if any(map(_is_literal, _segments(asked.pattern))):  # else it means anything
+        names = (each for each in ros.topics() if not is_hidden(each) and each not in OF_EVERY_NODE and may(each))
+        await in_slices(sorted(names)[:_MOST_NAMES], look)
+    return found.get(True) or found.get(False, "")
+
+
+def _segments(name: str) -> list[str]:
+    return name.split("/")[1:]
+
+
+def _is_literal(segment: str) -> bool:
+    return "*" not in segment
+
+
+def _alike_patterns(pattern: str) -> list[Pattern]:
+    """Return a pattern in any namespace, and out of its own ones."""
+    segments = _segments(pattern)
+    outer = next((at for at, each in enumerate(segments) if not _is_literal(each)), len(segments))
+    inner = [segments[at:] for at in range(1, min(outer, _NAMESPACES + 1)) if any(map(_is_literal, segments[at:]))]
+    return [Pattern("/" + "/".join(each)) for each in (["**", *segments], *inner) if each[:2] != ["**", "**"]]
+
+
+def _is_alike(pattern: str, name: str) -> bool:
+    """Whether a pattern would match a name if similar segments were equal ones."""
+    wanted, has = _segments(pattern), _segments(name)
+    if "**" in wanted:  # which takes as many segments as are left
+        at = wanted.index("**")
+        wanted[at : at + 1] = ["*"] * (len(has) - len(wanted) + 1)
+    if len(wanted) != len(has):
+        return False
+    pairs = [pair for pair in zip(wanted, has, strict=True) if pair[0] not in ("*", pair[1])]
+    return bool(pairs) and all(are_alike(f"/{one.replace('*', '')}", f"/{other}") for one, other in pairs)
 
 
 def _is_within(name: str, other: str) -> bool:

@@ -63,7 +63,7 @@ _FRAGMENT = 64_000
 _REMEDY_FOR_LARGE = "if they are large, start both ends with {variable}=…/{file} (docs/performance.md)"
 
 
-def types_and_nodes(endpoints: Iterable[Endpoint]) -> str:
+def _types_and_nodes(endpoints: Iterable[Endpoint]) -> str:
     """``/a has pkg/msg/A and /b has pkg/msg/B``."""
     nodes: dict[str, list[str]] = {}
     for endpoint in endpoints:
@@ -88,7 +88,7 @@ def _several(half: TopicFacts, _: Crossing) -> Verdict | None:
     drivers = half.flow.drivers
     if not (drivers.here or drivers.there) or not (several := drivers.several):
         return None
-    text = f"{driver_names(several)} publish it: a robot follows all; stop all but one"
+    text = f"{_driver_names(several)} publish it: a robot follows all; stop all but one"
     return Verdict(State.OK, Cause.SEVERAL_PUBLISHERS, text)
 
 
@@ -101,7 +101,7 @@ def _shared(half: SenderFacts, _: Crossing) -> Verdict | None:
     return Verdict(State.OK, Cause.SEVERAL_PUBLISHERS, text)
 
 
-def driver_names(drivers: Collection[Driver]) -> str:
+def _driver_names(drivers: Collection[Driver]) -> str:
     """Name drivers, and the side of each if they are on both: ``/nav here and /joystick there``."""
     both = len({each.here for each in drivers}) > 1
     where = {True: " here" if both else "", False: " there"}
@@ -361,7 +361,7 @@ def _subscribers(half: ReceiverFacts, crossing: Crossing) -> Verdict | None:
         if all(each.type_name == half.listeners.type_before for each in others):
             return Verdict(State.UNHEARD, Cause.TYPE_CONFLICT, _changed_type(half, others))
         carries = f"{half.route.local_topic} carries {half.carried.type_name}"
-        text = f"{types_and_nodes(others)}, but {carries}: correct the subscription"
+        text = f"{_types_and_nodes(others)}, but {carries}: correct the subscription"
         return Verdict(State.UNHEARD, Cause.TYPE_CONFLICT, text)
     if deaf:
         first = next(iter(deaf.values()))
@@ -403,7 +403,7 @@ def _changed_type(half: ReceiverFacts, others: Collection[Endpoint]) -> str:
     """Say that the publishers have another type than before, and who still has that one."""
     now, (nodes, _, _) = half.carried.type_name, half.ends()
     changed = f"{who_publish(nodes)} {now} now" if nodes else f"it is published as {now} now"
-    return f"{changed}, {types_and_nodes(others)} as before: correct the publisher"
+    return f"{changed}, {_types_and_nodes(others)} as before: correct the publisher"
 
 
 def _clocks(half: ReceiverFacts, _: Crossing) -> Verdict | None:

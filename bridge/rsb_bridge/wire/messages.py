@@ -490,6 +490,21 @@ class Followed(ControlMessageBase, frozen=True):
     more: Count = 0  # number of further matches that the message leaves out
 
 
+class AskMeant(ControlMessageBase, frozen=True):
+    """Either side asks for a topic of the peer's graph that a pattern may mean. Answered by `MeantTopic`."""
+
+    number: Count  # of this question among its sender's
+    pattern: Name  # of names on the asked side; an invalid one means nothing
+    matching: bool = False  # whether a topic that it matches is sought, or else a similar one only
+
+
+class MeantTopic(ControlMessageBase, frozen=True):
+    """The answer to `AskMeant`."""
+
+    number: Count
+    topic: Name = ""  # that nodes publish there, or empty
+
+
 class Lease(ControlMessageBase, frozen=True):
     """A number from either side, sent several times a second while a route is armed or an operator asks for that."""
 
@@ -515,10 +530,11 @@ UrgentMessage: TypeAlias = Lease | Disarm
 ControlMessage: TypeAlias = (
     Propose | Accept | Refuse | Describe | Ready | Publishers | Provide | ByHand | Neighbours | Close | Amend | Edit
     | EditAnswer | Limit | Pause | Arm | Armed | Disarm | AskForArming | AskEnded | Settled | Lease | Ping | Pong
-    | Report | Receipts | ListTopics | TopicList | AskType | TypeText | Follow | Followed | Duplicate | Shutdown
-    | Unsaved
+    | Report | Receipts | ListTopics | TopicList | AskType | TypeText | Follow | Followed | AskMeant | MeantTopic
+    | Duplicate | Shutdown | Unsaved
 )  # fmt: skip
 OF_CONNECTION = (
-    Ping, Pong, Receipts, Lease, Duplicate, Shutdown, Report, ListTopics, TopicList, AskType, TypeText,
+    Ping, Pong, Receipts, Lease, Duplicate, Shutdown, Report, ListTopics, TopicList, AskType, TypeText, AskMeant,
+    MeantTopic,
 )  # fmt: skip
 """Messages that mean nothing on another connection than their own, or that are asked for or sent anew there."""

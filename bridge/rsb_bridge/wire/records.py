@@ -1,4 +1,4 @@
-"""The types of control messages' fields, each with its bounds, and the maps inside messages (PROTOCOL.md, 3).
+"""The types of control messages' fields, each with its bounds, and the maps and lists in these (PROTOCOL.md, 3).
 
 Text goes to terminals and logs, so it is short and has printable characters only. The counts and figures in reports
 have no range here: an impossible figure must not end a link, so the receiver limits it (`rsb_bridge.route.ledger`).

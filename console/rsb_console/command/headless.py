@@ -1,4 +1,4 @@
-"""Bridging without a console: events as log lines, a status line now and then, and systemd's notifications."""
+"""Bridging without a console: signals, events as log lines, a status line now and then, and systemd's notifications."""
 
 from __future__ import annotations
 

@@ -1,29 +1,22 @@
-"""Changes of what the main screen shows."""
+"""Changes of what the main screen shows, and what an operator takes from it: a line, a list, a closer look."""
 
 from __future__ import annotations
 
 import time
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
-
-from textual.binding import Binding
-from textual.screen import ModalScreen
-from textual.widgets import Static
+from typing import TYPE_CHECKING
 
 from rsb_bridge.config.files import why_not_written
 from rsb_bridge.installed_features import added
 from rsb_console.actions.action import FooterEntry
-from rsb_console.notation import formats
 from rsb_console.notation.formats import PatternRow
-from rsb_console.screens.dialog import Dialog
+from rsb_console.screens.event_screen import EventScreen
 from rsb_console.screens.main import MainText
-from rsb_console.widgets.log import WORD, plain
+from rsb_console.widgets.log import plain
 
 if TYPE_CHECKING:
-    from textual.app import ComposeResult
-
-    from rsb_bridge.model.snapshot import Event, RouteSnapshot
+    from rsb_bridge.model.snapshot import RouteSnapshot
     from rsb_console.screens.main import MainScreen
 
 
@@ -175,24 +168,3 @@ def detail_in_footer(screen: MainScreen) -> FooterEntry:
 
 def faults_in_footer(screen: MainScreen) -> FooterEntry:
     return FooterEntry("faults", screen.topic_counts)
-
-
-class EventScreen(ModalScreen[None]):
-    """The whole text of an event."""
-
-    BINDINGS: ClassVar = [Binding("escape,q,enter", "dismiss", show=False)]
-
-    def __init__(self, event: Event) -> None:
-        super().__init__()
-        self._event = event
-
-    def compose(self) -> ComposeResult:
-        """Compose the text, and below it the link and the topic."""
-        event = self._event
-        concerns = [word for word in (event.code, event.link, event.topic) if word]
-        yield Dialog(
-            f"{WORD[event.level]} at {formats.time_of_day(event.time)}",
-            Static(event.text, markup=False),
-            Static(" · ".join(concerns), classes="hint keys", markup=False),
-            keys="esc close",
-        )

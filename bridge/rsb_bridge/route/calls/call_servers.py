@@ -158,8 +158,8 @@ def types_clash(
             return Trouble(Cause.TYPE_CONFLICT, TypeClash.VERSIONS(type=entry.type, difference=difference))
         if member.is_topic:
             continue
-        others = _called_as_another_type(callers[name], name, entry)
-        if others is not None and all(caller.type_name != entry.type for caller in callers[name]):
+        all_differ = all(caller.type_name != entry.type for caller in callers[name])
+        if all_differ and (others := _called_as_another_type(callers[name], name, entry)) is not None:
             return others
         for caller in callers[name]:
             if caller.type_name == entry.type and caller.type_hash and caller.type_hash != entry.type_hash:

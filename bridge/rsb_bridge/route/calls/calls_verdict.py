@@ -95,7 +95,7 @@ class CallsFacts(Facts):
             subscribers=providers,
             calls=self.calls.snapshot(self.end.at_node()[1]),
             goals=() if goals is None else goals.snapshot(self._kind.awaited()),
-            lanes=tuple(member.name for member in self.flow.members if not member.is_topic),
+            lanes=tuple([member.name for member in self.flow.members if not member.is_topic]),
         )
 
 
