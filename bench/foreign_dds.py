@@ -89,6 +89,9 @@ PARTS = {
         "with_ros2_client",
         ("enhanced", "basic", "cyclone", "parameters", "clock speaks"),
     ),
+    "rosbridge": Part(
+        "A WebSocket client of rosbridge-server-rs 0.1.6", "rosbridge", ("enhanced", "parameters hears", "clock speaks")
+    ),
     "dust-dds": Part("Dust DDS 0.16.0", "with_dust_dds", _OF_PARTICIPANTS),
 }
 
@@ -461,6 +464,8 @@ def _missing(part: Part) -> str:
         return "it is not built: run `make peers` (cargo)"
     if part.program == "cyclone" and importlib.util.find_spec("cyclonedds") is None:
         return "cyclonedds is not installed: pip install cyclonedds"
+    if part.program == "rosbridge" and not all(map(importlib.util.find_spec, ("rosbridge_server_rs", "websockets"))):
+        return "it is not installed: pip install rosbridge-server-rs websockets"
     if part.program == "other" and "OTHER_PYTHON" not in os.environ:
         return "OTHER_PYTHON does not name a Python with this distribution"
     if part.environ and shutil.which("fast-discovery-server") is None:
