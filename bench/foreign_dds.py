@@ -21,6 +21,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import sysconfig
 import tempfile
 import threading
 import time
@@ -441,11 +442,13 @@ def main() -> None:
         print(f"{', '.join(left_out)}: no type with a key is installed: run this with Kilted's Python", flush=True)
     for name in options.parts.split(","):
         part = PARTS[name]
+        if not (asked := ways(part, cases)):
+            continue
         if missing := _missing(part):
             print(f"{part.title}: {missing}", flush=True)
             continue
         for end in options.ends.split(","):
-            for case, way, result in measured(part, ways(part, cases), end):
+            for case, way, result in measured(part, asked, end):
                 print(f"{name:<12} {end:<7} {case:<18} {way:<7}", *result.values(), flush=True)
                 _keep(options.json, part, name, (case, way, end), result)
 
@@ -466,6 +469,8 @@ def _missing(part: Part) -> str:
         return "cyclonedds is not installed: pip install cyclonedds"
     if part.program == "rosbridge" and not all(map(importlib.util.find_spec, ("rosbridge_server_rs", "websockets"))):
         return "it is not installed: pip install rosbridge-server-rs websockets"
+    if part.program == "rosbridge" and not sysconfig.get_config_var("Py_ENABLE_SHARED"):
+        return "ROS's wheels take names of Python's, and this Python has no shared library"
     if part.program == "other" and "OTHER_PYTHON" not in os.environ:
         return "OTHER_PYTHON does not name a Python with this distribution"
     if part.environ and shutil.which("fast-discovery-server") is None:
