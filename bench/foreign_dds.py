@@ -340,7 +340,7 @@ _OF_KILTED = ("keyed", "keyed_latched")
 _NEED_MEANS = {"enhanced", "basic", "cyclone", "parameters", "clock", *_OF_KILTED, "own_key"}
 _KINDS = dict.fromkeys(("enhanced", "basic", "cyclone"), "service") | {"parameters": "node"}
 """Of the cases that are no topics."""
-_LISTS = {"service": "services:", "node": "parameters:"}
+_LISTS = {"topic": "topics", "service": "services", "node": "parameters"}
 _NAMES = {("clock", "speaks"): "/clock", ("parameters", "speaks"): "/foreign", ("parameters", "hears"): "/stock"}
 """Of the cases whose name matters."""
 
@@ -385,12 +385,11 @@ def _bridge(
     folder: Path, asked: Sequence[tuple[str, str]], end: str, environs: Mapping[int, Mapping[str, str]]
 ) -> Iterator[tuple[Path, Path]]:
     """Join the two domains; yield the robot's and the desk's control socket."""
-    lists: dict[str, list[str]] = {"topic": []}
+    lists: dict[str, list[str]] = {}
     for case, way in asked:
-        lists.setdefault(_KINDS.get(case, "topic"), []).append(_entry(case, way, end))
-    topics = lists.pop("topic")
-    others = [line for kind, entries in lists.items() for line in (_LISTS[kind], *entries)]
-    port = write_sessions(folder, NEAR, FAR, [*topics, *others])
+        lists.setdefault(_LISTS[_KINDS.get(case, "topic")], []).append(_entry(case, way, end))
+    key, *lines = (line for name, entries in lists.items() for line in (f"{name}:", *entries))
+    port = write_sessions(folder, NEAR, FAR, lines, key=key.removesuffix(":"))
     with _side(folder / "server.yaml", environs.get(FAR, {})) as server:
         listening(server, port)
         with _side(folder / "client.yaml", environs.get(NEAR, {})):
@@ -490,7 +489,8 @@ def _keep(file: Path, part: Part, name: str, place: tuple[str, str, str], result
 def _beside() -> str:
     """Return the versions of the stock nodes and their DDS, of a distribution's own ROS its name."""
     try:
-        return f"rclpy {metadata.version('ros-rclpy')}, Fast DDS {metadata.version('ros-fastrtps')}"
+        dds = "ros-fastdds" if _has_keyed_type() else "ros-fastrtps"
+        return f"rclpy {metadata.version('ros-rclpy')}, Fast DDS {metadata.version(dds)}"
     except metadata.PackageNotFoundError:
         return f"ROS 2 {os.environ.get('ROS_DISTRO', '')}"
 
