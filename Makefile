@@ -15,7 +15,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 export OTHER_PYTHON
 
 .PHONY: demo demo-fleet test test-pythons test-all on-all test-kilted on-kilted test-quick test-core on-core coverage test-wire quick-lint types lint soak fuzz \
-  bench peers dist deb lock screenshots texts plots man system clean
+  bench peers foreign dist deb lock screenshots texts plots man system clean
 demo: $(STAMP)
 	$(BIN)/rsb-console demo
 demo-fleet: $(STAMP)
@@ -90,6 +90,16 @@ peers:
 	@if command -v cargo > /dev/null; then \
 	  for each in $(PEERS); do cargo build --release --locked --manifest-path bench/peers/$$each/Cargo.toml || exit 1; done; \
 	else echo "no cargo here: $(PEERS) are not built, and benchmarks run without them"; fi
+# Programs with other DDS at either end of a bridge, beside nodes of Jazzy and, with keys, of Kilted. It needs root, and `make peers` before.
+JSON := docs/figures/foreign_dds.json
+foreign: $(STAMP) system
+	$(MAKE) VENV=.venv-kilted ROS_EXTRAS=ros-kilted$(comma)ros-kilted-test$(comma) .venv-kilted/.installed
+	$(BIN)/python -m pip install --quiet rosbridge-server-rs==0.1.6 websockets
+	mkdir -p $(dir $(JSON))
+	for each in $(VENV) .venv-kilted; do \
+	  OTHER_PYTHON=$(abspath .venv-kilted)/bin/python $$each/bin/python -m bench.foreign_dds --json $(JSON) \
+	    $$([ $$each = $(VENV) ] || echo --cases keyed,keyed_latched) || exit 1; \
+	done
 dist deb lock:
 	.ci/release.sh $@
 # Pictures of real terminals also need Xvfb, kitty, xterm, ImageMagick and DejaVu's font; without them, it draws the others.

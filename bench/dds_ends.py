@@ -1,7 +1,8 @@
-"""Programs in a domain for `bench.foreign_dds`: ``python -m bench.dds_ends stock|other|cyclone|PROGRAM DOMAIN NODE``.
+"""Programs in a domain for `bench.foreign_dds`: ``python -m bench.dds_ends PART DOMAIN NODE``.
 
 ``stock`` is a node with rclpy, ``other`` one with the Python of `OTHER_PYTHON`, ``cyclone`` a participant of Cyclone
-DDS, and another one a program of `make peers`. ``server`` is Fast DDS's discovery server at a port, no program.
+DDS, ``rosbridge`` a WebSocket client of rosbridge-server-rs, and another one a program of `make peers`. ``server`` is
+Fast DDS's discovery server at a port, no program.
 Each does what the lines of standard input say, and ends with it:
 
 - ``write TOPIC [POLICY...]``, ``read TOPIC [POLICY...]``: of std_msgs/String. A policy is ``best_effort``, ``latched``,
@@ -18,13 +19,20 @@ rsb-console, since it also runs with another distribution's Python.
 
 from __future__ import annotations
 
+import importlib.util
+import json
 import os
+import shutil
+import subprocess
 import sys
+import sysconfig
+import tempfile
 import threading
 import time
 from abc import ABC, abstractmethod
 from itertools import count
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 PROGRAMS = Path(__file__).parent / "peers/dds_programs/target/release"
@@ -291,6 +299,125 @@ def _cyclone_qos(qos: dict[str, float]) -> Any:
     return Qos(*policies)
 
 
+class Rosbridge(Participant):
+    """A client of rosbridge-server-rs, which is a node that this process starts."""
+
+    def __init__(self, domain: int) -> None:
+        super().__init__()
+        from websockets.sync.client import connect  # noqa: PLC0415
+
+        self._numbers = count(100)
+        port = 9090 + domain
+        self._folder = tempfile.TemporaryDirectory(prefix="rsb-bench-")
+        # It ends with this process, even if that is killed.
+        folder = Path(self._folder.name)
+        command = ["setpriv", "--pdeathsig", "KILL", _executable(folder)]
+        command += ["--no-rosapi", "--bind", f"127.0.0.1:{port}"]
+        environ = {"ROS_DOMAIN_ID": str(domain), "HOME": str(folder), **_for_native(folder)}
+        self._server = subprocess.Popen(command, env=os.environ | environ, stdout=subprocess.DEVNULL)
+        while True:
+            try:
+                self._socket: Any = connect(f"ws://127.0.0.1:{port}", max_size=None)
+                break
+            except OSError:
+                if self._server.poll() is not None:
+                    sys.exit("rosbridge-server-rs has ended")
+                time.sleep(0.1)
+        threading.Thread(target=self._take, daemon=True).start()
+
+    def write(self, topic: str, qos: dict[str, float]) -> None:
+        self._tell("advertise", topic=topic, type="std_msgs/msg/String", qos=_rosbridge_qos(qos))
+
+    def read(self, topic: str, qos: dict[str, float]) -> None:
+        self._tell("subscribe", topic=topic, type="std_msgs/msg/String", qos=_rosbridge_qos(qos))
+
+    def publish(self, topic: str, text: str) -> None:
+        self._tell("publish", topic=topic, msg={"data": text})
+
+    def serve(self, service: str, _: str) -> None:
+        self._tell("advertise_service", service=service, type="std_srvs/srv/SetBool")
+
+    def call(self, service: str, _: str) -> None:
+        self._tell("call_service", service=service, type="std_srvs/srv/SetBool", args={"data": True}, id="call")
+
+    def set(self, node: str) -> None:
+        number = next(self._numbers)
+        parameter = {"name": "rate", "value": {"type": 2, "integer_value": number}}
+        kind, service = "rcl_interfaces/srv/SetParameters", f"{node}/set_parameters"
+        self._tell("call_service", service=service, type=kind, args={"parameters": [parameter]}, id=str(number))
+
+    def tick(self, second: str) -> None:
+        self._tell("advertise", topic="/clock", type="rosgraph_msgs/msg/Clock")
+        self._tell("publish", topic="/clock", msg={"clock": {"sec": int(second), "nanosec": 0}})
+
+    def _tell(self, order: str, **what: Any) -> None:
+        self._socket.send(json.dumps({"op": order, **what}))
+
+    def _take(self) -> None:
+        for each in self._socket:
+            said = json.loads(each)
+            match said:
+                case {"op": "publish"}:
+                    _heard(said["topic"], SimpleNamespace(**said["msg"]))
+                case {"op": "call_service"}:
+                    values = {"success": said["args"]["data"], "message": "done"}
+                    whose = {"service": said["service"], "id": said["id"]}
+                    self._tell("service_response", **whose, values=values, result=True)
+                case {"op": "service_response", "result": True}:
+                    self._answered(said["service"], said["id"], said["values"])
+
+    def _answered(self, service: str, number: str, values: Any) -> None:
+        node, _, name = service.rpartition("/")
+        if name == "set_parameters":
+            kind = "rcl_interfaces/srv/GetParameters"
+            asked = {"service": f"{node}/get_parameters", "type": kind, "args": {"names": ["rate"]}}
+            self._tell("call_service", **asked, id=number)
+        elif name == "get_parameters":
+            if [str(each["integer_value"]) for each in values["values"]] == [number]:
+                _say("answered", node)
+        else:
+            _say("answered", service, values["message"])
+
+
+def _rosbridge_qos(qos: dict[str, float]) -> dict[str, Any]:
+    policies: dict[str, Any] = {"history": "keep_last", "depth": int(qos.get("depth", 10))}
+    policies["reliability"] = "best_effort" if "best_effort" in qos else "reliable"
+    policies["durability"] = "transient_local" if "latched" in qos else "volatile"
+    names = {"deadline": "deadline", "lifespan": "lifespan", "lease": "liveliness_lease_duration"}
+    for name in names.keys() & qos.keys():
+        policies[names[name]] = {"secs": int(qos[name]), "nsecs": int(qos[name] % 1 * 1e9)}
+    return policies | ({"liveliness": "manual_by_topic"} if "lease" in qos else {})
+
+
+def _executable(folder: Path) -> str:
+    """Return a copy of the server: pip leaves its file not executable."""
+    package = importlib.util.find_spec("rosbridge_server_rs")
+    assert package is not None
+    assert package.origin is not None
+    program = Path(package.origin).with_name(f"rosbridge_server_rs_{os.environ.get('ROS_DISTRO', 'jazzy')}")
+    copy = Path(shutil.copy(program, folder))
+    copy.chmod(0o700)
+    return str(copy)
+
+
+def _for_native(folder: Path) -> dict[str, str]:
+    """Return what a program that is not Python needs with ROS's wheels, and nothing with a sourced ROS.
+
+    Wheels lack librmw_implementation.so, which hands all on to a middleware. Their libraries take names of Python's,
+    and others that pip has put into folders of their own.
+    """
+    libraries = Path(sys.prefix, "lib")
+    if not (libraries / "librcl.so").exists():
+        return {}
+    (folder / "librmw_implementation.so").symlink_to(libraries / "librmw_fastrtps_cpp.so")
+    others = {str(each.parent) for each in libraries.rglob("*.so*") if each.parent.name.endswith(".libs")}
+    return {
+        "LD_LIBRARY_PATH": ":".join([str(folder), str(libraries), *sorted(others)]),
+        "LD_PRELOAD": str(Path(sysconfig.get_config_var("LIBDIR"), sysconfig.get_config_var("INSTSONAME"))),
+        "AMENT_PREFIX_PATH": sys.prefix,
+    }
+
+
 def main() -> None:
     part, domain, name = sys.argv[1:]
     match part:
@@ -298,6 +425,8 @@ def main() -> None:
             Stock(int(domain), name).run()
         case "cyclone":
             Cyclone(int(domain)).run()
+        case "rosbridge":
+            Rosbridge(int(domain)).run()
         case "other":
             for each in _OF_WHEELS:  # each distribution has its own libraries
                 os.environ.pop(each, None)

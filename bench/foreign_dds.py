@@ -21,6 +21,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import sysconfig
 import tempfile
 import threading
 import time
@@ -88,6 +89,9 @@ PARTS = {
         "ros2-client 0.12.1, RustDDS 0.15.1",
         "with_ros2_client",
         ("enhanced", "basic", "cyclone", "parameters", "clock speaks"),
+    ),
+    "rosbridge": Part(
+        "A WebSocket client of rosbridge-server-rs 0.1.6", "rosbridge", ("enhanced", "parameters hears", "clock speaks")
     ),
     "dust-dds": Part("Dust DDS 0.16.0", "with_dust_dds", _OF_PARTICIPANTS),
 }
@@ -336,7 +340,7 @@ _OF_KILTED = ("keyed", "keyed_latched")
 _NEED_MEANS = {"enhanced", "basic", "cyclone", "parameters", "clock", *_OF_KILTED, "own_key"}
 _KINDS = dict.fromkeys(("enhanced", "basic", "cyclone"), "service") | {"parameters": "node"}
 """Of the cases that are no topics."""
-_LISTS = {"service": "services:", "node": "parameters:"}
+_LISTS = {"topic": "topics", "service": "services", "node": "parameters"}
 _NAMES = {("clock", "speaks"): "/clock", ("parameters", "speaks"): "/foreign", ("parameters", "hears"): "/stock"}
 """Of the cases whose name matters."""
 
@@ -381,12 +385,11 @@ def _bridge(
     folder: Path, asked: Sequence[tuple[str, str]], end: str, environs: Mapping[int, Mapping[str, str]]
 ) -> Iterator[tuple[Path, Path]]:
     """Join the two domains; yield the robot's and the desk's control socket."""
-    lists: dict[str, list[str]] = {"topic": []}
+    lists: dict[str, list[str]] = {}
     for case, way in asked:
-        lists.setdefault(_KINDS.get(case, "topic"), []).append(_entry(case, way, end))
-    topics = lists.pop("topic")
-    others = [line for kind, entries in lists.items() for line in (_LISTS[kind], *entries)]
-    port = write_sessions(folder, NEAR, FAR, [*topics, *others])
+        lists.setdefault(_LISTS[_KINDS.get(case, "topic")], []).append(_entry(case, way, end))
+    key, *lines = (line for name, entries in lists.items() for line in (f"{name}:", *entries))
+    port = write_sessions(folder, NEAR, FAR, lines, key=key.removesuffix(":"))
     with _side(folder / "server.yaml", environs.get(FAR, {})) as server:
         listening(server, port)
         with _side(folder / "client.yaml", environs.get(NEAR, {})):
@@ -438,11 +441,13 @@ def main() -> None:
         print(f"{', '.join(left_out)}: no type with a key is installed: run this with Kilted's Python", flush=True)
     for name in options.parts.split(","):
         part = PARTS[name]
+        if not (asked := ways(part, cases)):
+            continue
         if missing := _missing(part):
             print(f"{part.title}: {missing}", flush=True)
             continue
         for end in options.ends.split(","):
-            for case, way, result in measured(part, ways(part, cases), end):
+            for case, way, result in measured(part, asked, end):
                 print(f"{name:<12} {end:<7} {case:<18} {way:<7}", *result.values(), flush=True)
                 _keep(options.json, part, name, (case, way, end), result)
 
@@ -461,6 +466,10 @@ def _missing(part: Part) -> str:
         return "it is not built: run `make peers` (cargo)"
     if part.program == "cyclone" and importlib.util.find_spec("cyclonedds") is None:
         return "cyclonedds is not installed: pip install cyclonedds"
+    if part.program == "rosbridge" and not all(map(importlib.util.find_spec, ("rosbridge_server_rs", "websockets"))):
+        return "it is not installed: pip install rosbridge-server-rs websockets"
+    if part.program == "rosbridge" and not sysconfig.get_config_var("Py_ENABLE_SHARED"):
+        return "ROS's wheels take names of Python's, and this Python has no shared library"
     if part.program == "other" and "OTHER_PYTHON" not in os.environ:
         return "OTHER_PYTHON does not name a Python with this distribution"
     if part.environ and shutil.which("fast-discovery-server") is None:
@@ -480,7 +489,8 @@ def _keep(file: Path, part: Part, name: str, place: tuple[str, str, str], result
 def _beside() -> str:
     """Return the versions of the stock nodes and their DDS, of a distribution's own ROS its name."""
     try:
-        return f"rclpy {metadata.version('ros-rclpy')}, Fast DDS {metadata.version('ros-fastrtps')}"
+        dds = "ros-fastdds" if _has_keyed_type() else "ros-fastrtps"
+        return f"rclpy {metadata.version('ros-rclpy')}, Fast DDS {metadata.version(dds)}"
     except metadata.PackageNotFoundError:
         return f"ROS 2 {os.environ.get('ROS_DISTRO', '')}"
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from itertools import starmap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,24 +26,31 @@ _CASES = {
     "enhanced": "10 calls (mapping Enhanced, Fast DDS's)",
     "basic": "10 calls by the mapping Basic",
     "cyclone": "10 calls by the mapping of Cyclone",
-    "parameters": "a parameter set 10 times",
+    "parameters": "a parameter set and read 10 times",
     "clock": "`/clock`, 10 ticks",
     "killed": "killed and started again, 10 messages",
+    "keyed": "a type with a key (KeyedString), 20 messages",
+    "keyed_latched": "latched with a key, the last of 2 keys to a late joiner",
+    "own_key": "a key in the program's String, none in ROS's, 20 messages",
 }
 _LARGE = "as stock nodes on Fast DDS: reliable, or [large messages](performance.md#fast-dds-within-a-machine)"
 _BUFFER = "a larger UDP buffer for Fast DDS where it hears this (below)"
+_KEY = "types with a key (below)"
+_NO_EVENTS = "its protocol tells of no such event: watch the time of the last message"
 _DUST = "finite times on both ends (below)"
 _SHARED = {"large_best_effort": _LARGE}
 _REMEDIES: Mapping[str, Mapping[str, str]] = {
     "kilted": _SHARED,
     "discovery-server": _SHARED,
-    "cyclonedds": _SHARED | {"large": "publish less often, or latched: the first one is often lost"},
+    "cyclonedds": _SHARED | {"large": "publish less often, or latched: the first one is often lost"}
+    | dict.fromkeys(("keyed", "keyed_latched", "own_key"), _KEY),
     "rustdds": {
         "latched": "a late joiner hears all 7 that it keeps, now and then out of order: look at a stamp",
         "large": _BUFFER,
         "large_best_effort": _BUFFER,
         "liveliness": "it hears the messages, and is not told: watch for a deadline there",
         "lifespan": "its writer keeps what is too old: stamp messages, and look at the stamp",
+        "own_key": _KEY,
     },
     "ros2-client": {
         "large": _BUFFER,
@@ -54,8 +62,8 @@ _REMEDIES: Mapping[str, Mapping[str, str]] = {
         "cyclone": "`ServiceMapping::Enhanced`",
         "clock": "it has `builtin_interfaces/Time` there, ROS `rosgraph_msgs/Clock`: publish that type by hand",
     },
-    "dust-dds": dict.fromkeys(("best_effort", "reliable", "latched", "large", "deadline", "killed"), _DUST)
-    | {"large_best_effort": f"{_DUST}; {_BUFFER}", "liveliness": _DUST, "lifespan": _DUST},
+    "rosbridge": _SHARED | {"deadline": _NO_EVENTS, "liveliness": _NO_EVENTS},
+    "dust-dds": dict.fromkeys(_CASES, _DUST) | {"large_best_effort": f"{_DUST}; {_BUFFER}", "own_key": _KEY},
 }
 """For a user, by part and case."""
 
@@ -73,17 +81,22 @@ def tables() -> str:
 
 
 def _table(name: str, part: Mapping[str, Any]) -> str:
+    runs = [run for ways in part["cases"].values() for ends in ways.values() for run in ends.values()]
+    beside = Counter(run["beside"] for run in runs).most_common(1)[0][0]
+    days = sorted({run["seen"] for run in runs})
     lines = [
-        f"**{part['title']}**, seen on {part['seen']} beside {part['beside']}\n",
+        f"**{part['title']}**, seen on {' to '.join(dict.fromkeys((days[0], days[-1])))} beside {beside}\n",
         "| case | it speaks: alone, robot's end, desk's end | it hears | what to do |",
         "|---|---|---|---|",
     ]
     remedies = _REMEDIES.get(name, {})
     for case, words in _CASES.items():
         if case in part["cases"]:
-            speaks, hears = (_runs(part["cases"][case].get(way, {})) for way in ("speaks", "hears"))
+            ways = part["cases"][case]
+            speaks, hears = (_runs(ways.get(way, {})) for way in ("speaks", "hears"))
             remedy = "" if {speaks, hears} <= {"all", ""} else remedies.get(case, "")
-            lines.append(f"| {words} | {speaks} | {hears} | {remedy} |")
+            others = {run["beside"] for ends in ways.values() for run in ends.values()} - {beside}
+            lines.append(f"| {', beside '.join((words, *others))} | {speaks} | {hears} | {remedy} |")
     return "\n".join(lines) + "\n"
 
 

@@ -389,8 +389,7 @@ class RosInterface(RouteEnds, Protocol):
     def survives_foreign_keys(self, type_name: str) -> bool:
         """Whether a subscription to an installed type may match publishers with a key of another DDS than Fast DDS.
 
-        With a key in the type, rmw_fastrtps (9.1.2) ends the process at a message that names no hash of its key, and
-        only Fast DDS always names one.
+        If the type has a key here, too, messages of such a publisher may end the process (rmw_fastrtps 9.3.3).
         """
 
     def installed_description(self, type_name: str) -> str | None:
