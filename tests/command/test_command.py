@@ -39,6 +39,9 @@ MOST_MODULES = 232
 
 Of the standard library only what has a public name counts: what is below that differs from Python to Python.
 """
+UNUSED_BY_BRIDGES = {
+    "dbus_fast", "email", "importlib.metadata", "mcap", "numpy", "prometheus_client", "rich", "textual", "zenoh",
+}  # fmt: skip
 COUNTS_MODULES = """\
 import atexit
 
@@ -406,7 +409,7 @@ def test_bad_arguments_are_refused_in_words() -> None:
 
 
 def test_command_of_a_missing_feature_names_it() -> None:
-    without = "import importlib.metadata as metadata; metadata.entry_points = lambda **_: ()"
+    without = "from rsb_bridge import installed_features; installed_features.entry_points = lambda: ()"
     run = with_first(without, "doctor", "robot1.yaml")
     assert run.returncode == 2
     assert CommandText.OF_FEATURE(word="doctor", feature="doctor") in run.stderr
@@ -477,6 +480,20 @@ def started_headless(before: str, *arguments: str) -> subprocess.Popen[str]:
         text=True,
         start_new_session=True,
     )
+
+
+def test_headless_bridge_loads_only_what_it_uses() -> None:
+    """What it has loaded it keeps for as long as it runs (bench/README.md, "Memory of a side")."""
+    rsb_console("keygen")
+    before = "import atexit; atexit.register(lambda: print(*sys.modules))"
+    with started_headless(before, "run", "--no-ui", "--status-every", "0.1", "robot1.yaml") as run:
+        assert run.stdout
+        assert any("status" in line for line in run.stdout), "it ended before it was up"
+        run.send_signal(signal.SIGTERM)
+        output, _ = run.communicate(timeout=120)
+    loaded = set(output.splitlines()[-1].split())
+    assert {"rclpy", "rsb_bridge.link.link"} <= loaded
+    assert not UNUSED_BY_BRIDGES & loaded
 
 
 @pytest.mark.parametrize("number", [*long(signal.SIGINT), signal.SIGTERM])
