@@ -86,6 +86,35 @@ async def test_last_message_is_sent_again() -> None:
         assert far.routes[1].payloads == [b"first", b"last"]
 
 
+@pytest.mark.parametrize("every", [0.001, 0.02, 0.1, 0.3])
+async def test_last_message_is_sent_again_beside_a_busy_route(every: float) -> None:
+    """The other route's datagrams have receipts asked for all the time, which tell nothing of a route without news."""
+    radio = Radio(2.5e6, delay=0.02)
+    quiet, busy = Route(1, outgoing=True), Route(2, outgoing=True)
+    async with connected(quiet, busy, open_streams=radio.open, elsewhere=(1, 2)) as (near, far):
+        channel = datagrams_between(near, far, radio, 1, 2, queue=1_000_000)
+        loop = asyncio.get_running_loop()
+
+        async def talk(seconds: float) -> None:
+            until, ticks = loop.time() + seconds, loop.time() + 1.0
+            while loop.time() < until:
+                busy.send(b"busy")
+                await asyncio.sleep(every)
+                if loop.time() >= ticks:
+                    ticks += 1.0
+                    for each in (near, far, channel, channel.air.far):
+                        each.tick()
+
+        quiet.send(b"first")
+        await talk(2.0)
+        channel.air.blocked = True
+        quiet.send(b"last")
+        await asyncio.sleep(0.01)
+        channel.air.blocked = False
+        await talk(5.0)
+        assert far.routes[1].payloads == [b"first", b"last"]
+
+
 async def test_nothing_is_sent_twice_without_a_loss() -> None:
     async with reliable(Radio(2.5e6, delay=0.02)) as (near, far, channel, route):
         route.send(*[message(number, 1_000) for number in range(100)])

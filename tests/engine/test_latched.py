@@ -375,7 +375,7 @@ from std_msgs.msg import String
 context = Context()
 context.init([], domain_id=int(sys.argv[1]))
 node = Node("mortal", context=context, enable_rosout=False, start_parameter_services=False)
-publisher = node.create_publisher(String, "/e_stop", QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+publisher = node.create_publisher(String, sys.argv[2], QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL))
 publisher.publish(String(data="released"))
 time.sleep(1000)
 """
@@ -386,26 +386,43 @@ _LISTED_FOR_LONG = """<profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRT
 """
 
 
+@pytest.mark.parametrize("restarted", ["", "client", *long("server")])
 def test_killed_node_is_heard_by_no_late_joiner(
-    bridge: Bridge, robot: Domain, pc: Domain, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    restarted: str, bridge: Bridge, robot: Domain, pc: Domain, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """DDS lists it all the time: who has joined before hears its successor last, who joins later nobody else."""
+    """DDS lists it all the time: who has joined before hears its successor last, who joins later nobody else.
+
+    A bridge that is restarted once it is withdrawn does what was left to do.
+    """
+    topic = f"/e_stop_{restarted}"  # a node that outlives this case lists its killed publisher, too
     constants.SILENT_WITHIN.set(monkeypatch, 1.0)
+    if restarted:
+        constants.RESENT_AFTER.set(monkeypatch, 3600.0)
+
+    def listed_there() -> int:
+        return len(pc.node.get_publishers_info_by_topic(topic))
+
     profile = tmp_path / "listed.xml"
     profile.write_text(_LISTED_FOR_LONG)
     environment = {**os.environ, "FASTRTPS_DEFAULT_PROFILES_FILE": str(profile)}
-    with subprocess.Popen((sys.executable, "-c", _RELEASES, str(robot.id)), env=environment) as mortal:
+    with subprocess.Popen((sys.executable, "-c", _RELEASES, str(robot.id), topic), env=environment) as mortal:
         try:
-            bridge.both(Topic("/e_stop", "transmit"))
-            before = pc.listener("/e_stop", qos=JOINS_LATE)
+            server, client = bridge.both(Topic(topic, "transmit"))
+            before = pc.listener(topic, qos=JOINS_LATE)
             eventually(lambda: len(before.payloads) == 1)
         finally:
             mortal.kill()
-    (pressed,) = publish(robot.publisher("/e_stop", qos=latched(1)), "pressed", range(1))
-    eventually(lambda: len(before.payloads) == 3 and bytes(before.payloads[-1]) == pressed, what="pressed is last")
-    eventually(lambda: len(pc.node.get_publishers_info_by_topic("/e_stop")) == 1, what="one history is left")
-    same_on_both_sides(robot, pc, "/e_stop", [pressed])
-    assert len(robot.node.get_publishers_info_by_topic("/e_stop")) == 2
+    (pressed,) = publish(robot.publisher(topic, qos=latched(1)), "pressed", range(1))
+    if restarted:
+        eventually(lambda: len(before.payloads) == 2, what="both are heard")
+        eventually(lambda: listed_there() == 1, what="the killed one is withdrawn")
+        constants.RESENT_AFTER.set(monkeypatch, 1.0)
+        restart(bridge, client if restarted == "client" else server)
+    expected = 4 if restarted == "server" else 3  # a new server publishes all that is kept
+    eventually(lambda: len(before.payloads) == expected and bytes(before.payloads[-1]) == pressed, what="pressed last")
+    eventually(lambda: listed_there() == 1, what="one history is left")
+    same_on_both_sides(robot, pc, topic, [pressed])
+    assert len(robot.node.get_publishers_info_by_topic(topic)) == 2
 
 
 def test_a_publisher_that_is_gone_leaves_no_history(

@@ -239,6 +239,7 @@ class Route:
         self.mute: set[bytes] = set()
         self.budget = Budget(1 << 30)
         self.offered = self.sent = self.held = 0
+        self.resends = 0  # as the far side remembers it
         self.paused = False
         self.topic = self.make_topic()
         self.subscription = self.make_subscription()
@@ -265,7 +266,7 @@ class Route:
         qos = msgspec.structs.replace(LATCHED, lifespan=self.near.lifespan)
         subject = TopicSpec("/latched", "std_msgs/msg/String", "", qos)
         self.topic.opened()
-        self.subscription.begin(subject, known=self.topic.newest())
+        self.subscription.begin(subject, known=self.topic.newest(), resends=self.resends)
         self.tell()
         if not self.paused:
             self.subscription.subscribe(missed=False)
@@ -307,12 +308,14 @@ class Route:
         assert not self.far.open
         assert self.budget.held == 0
         self.far.heard.clear()
+        self.resends = 0
         self.topic = self.make_topic()
         self.open()
 
     def tell(self) -> None:
         assert self.subscription.histories is not None
         self.topic.present(self.subscription.histories.present(set(self.near.writers), self.mute))
+        self.resends = self.subscription.histories.resends
 
     def second(self) -> None:
         assert self.subscription.histories is not None
@@ -605,6 +608,26 @@ def test_newest_is_sent_again_after_a_cut(after: float) -> None:
         world.wait(12.0)
         assert world.far.late_joiner() == world.near_late_joiner() == [b"writer 0 1", b"writer 2 1"]
         assert world.far.heard == [b"writer 0 1", b"writer 1 1", b"writer 2 1", b"writer 2 1"]
+
+
+@pytest.mark.parametrize("after", [6.5, 7.0, 8.0])
+@pytest.mark.parametrize("side", ["near", "far"])
+def test_newest_is_sent_again_after_a_restart(side: str, after: float) -> None:
+    """It was withdrawn less than 3 s ago. The near side's new process does not see the killed publisher."""
+    with virtual_loop() as loop:
+        world = World(loop, 1)
+        nodes = KilledBeside(world)
+        world.wait(after)
+        assert world.far.late_joiner() == [b"writer 0 1", b"writer 2 1"]
+        if side == "near":
+            del world.near.writers[nodes.killed.gid]
+            world.route.restart_near()
+        else:
+            world.route.restart_far()
+        world.wait(15.0)
+        assert world.far.late_joiner() == world.near_late_joiner() == [b"writer 0 1", b"writer 2 1"]
+        assert world.far.heard[-1] == b"writer 2 1"
+        assert world.far.heard.count(b"writer 2 1") == 2
 
 
 def test_killed_before_a_restart_is_withdrawn_too() -> None:

@@ -209,8 +209,10 @@ class ReliableSender(DatagramSender):
         if not self._flight or self.is_suspended:
             return
         patience = self.via.pacer.patience
-        # One datagram that asks is enough for all routes.
-        if not self._again and self._loop.time() - max(self._moved_at, self.via.asked_at) >= patience:
+        # One datagram that asks is enough for all routes, but a receipt tells nothing of a route whose last one got lost:
+        # beside routes that ask all the time, it waits for one answer.
+        asked_at = min(self.via.asked_at, self._moved_at + patience)
+        if not self._again and self._loop.time() - max(self._moved_at, asked_at) >= patience:
             sequence, sent = next(reversed(self._flight.items()))
             if sequence > self._newest:
                 self._lost(sequence, sent)

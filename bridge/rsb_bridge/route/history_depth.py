@@ -203,6 +203,11 @@ class Histories:
         depths = {gid: each.at_most for gid, each in self._publishers.items() if each.exact}
         return {self._id(gid): depths.get(gid, 0) for gid in left}
 
+    @property
+    def resends(self) -> int:
+        """When the newest message was published, ns since the epoch, if it will be sent again, or 0."""
+        return self._remembered.resends
+
     # --- messages
 
     def receive(self, batch: Sequence[RawMessage]) -> Taken:
@@ -329,14 +334,19 @@ class Histories:
         if others := (self._publishers.keys() | unheard) - {newcomer.gid, *self._mute}:
             self._silent.ask(newcomer.gid, others)
 
+    @property
+    def _unheard(self) -> bool:
+        """Whether a publisher that may have published has sent nothing in this opening."""
+        return not self._publishers.keys() | self._silent.silent >= {*self._in_graph} - {*self._mute}
+
     def _withdraw(self) -> None:
         for gid in self._silent.silent:
             self._publishers.pop(gid, None)
             self._known.pop(self._id(gid), None)
-        self._found()
         if self._resends is not None:
             self._resends.cancel()
         self._send_newest_later(max((each.source for each in self._publishers.values()), default=0))
+        self._found()
 
     def _send_newest_later(self, newest: int) -> None:
         self._remembered.resends = newest
@@ -352,7 +362,12 @@ class Histories:
         """
         self._resends, self._remembered.resends = None, 0
         gid, newest = max(self._publishers.items(), key=lambda item: item[1].source, default=(b"", None))
+        # After a restart of this side, the newest may not have been heard yet.
+        if self._unheard and (newest is None or newest.source < newest_then):
+            self._send_newest_later(newest_then)
+            return
         if newest is None or newest.source > newest_then:
+            self._found()
             return
         # The peer drops what has the former id, so that id stays until there is something to replace it. One that is
         # asked may have to be withdrawn before.

@@ -76,6 +76,7 @@ class Receiver:
         self.outputs = self.path.outputs
         self.deliver, self.restart_measuring = self.path.deliver, self.flow.restart_measuring
         self._before: tuple[str, ReceivedCounts] | None = None
+        self._resends = 0  # as the last `Publishers` said, for the next process of the sending side
         self.listeners = Listeners(self.flow, self.outputs)
         self.lazy = LazyReceiver(route, self.flow, self.outputs)
         self._received_before = 0
@@ -149,9 +150,14 @@ class Receiver:
             self.flow.end.log_other(description.type)
             text = f"← {self.route.transport.name} connected ({description.type})"
             self.route.log(Level.INFO, EventCode.ROUTE_CONNECTED, text)
-        self.route.peer.send(
-            Ready(route=self.route.id, sources=len(self.outputs), before=self._counted_before(), newest=newest)
+        ready = Ready(
+            route=self.route.id,
+            sources=len(self.outputs),
+            before=self._counted_before(),
+            newest=newest,
+            resends=self._resends,
         )
+        self.route.peer.send(ready)
         self.route.life.handle(RouteEvent.READY)
         self.route.judge_again()
         self.route.advance()
@@ -159,6 +165,7 @@ class Receiver:
     def told_of_publishers(self, publishers: Publishers) -> None:
         """Take the publishers that the sending side has now."""
         self.outputs.present(publishers.present)
+        self._resends = publishers.resends
         began, self._alive = publishers.alive and not self._alive, publishers.alive
         self.outputs.set_alive(self._alive)
         # Other bridges of this domain first have to hear that these are no publishers of a node's.

@@ -107,7 +107,7 @@ class Sender:
             self.facts.kept_there = ready.newest.keys()
             self.route.age.publishers.since = None if described.qos.latched else self.route.context.stamps.now()
             spec = TopicSpec(self.route.topic, described.type, described.type_hash, described.qos)
-            self.subscription.begin(spec, known=ready.newest)
+            self.subscription.begin(spec, known=ready.newest, resends=ready.resends)
             self.path.histories = self.subscription.histories
         self.lazy.look()
         self.route.advance()
@@ -229,13 +229,13 @@ class Sender:
         spec = self.subscription.spec
         if spec is None or not (spec.qos.latched or spec.qos.liveliness_lease_duration):
             return
-        present = {}
+        present, resends = {}, 0
         if (histories := self.subscription.histories) is not None:
             endpoints = self.carried.endpoints
             mute = {each.gid for each in endpoints if each.is_durable}
             depths = histories.present({each.gid for each in endpoints}, mute)
-            present = dict(islice(depths.items(), MOST_PUBLISHERS))
-        told = Publishers(route=self.route.id, present=present, alive=self.subscription.alive)
+            present, resends = dict(islice(depths.items(), MOST_PUBLISHERS)), histories.resends
+        told = Publishers(route=self.route.id, present=present, alive=self.subscription.alive, resends=resends)
         if told != self._told:
             self._told = told
             self.route.peer.send(told)

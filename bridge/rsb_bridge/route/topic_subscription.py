@@ -84,18 +84,22 @@ class TopicSubscription:
         self._subscription: LastingSubscription | None = None
         self._depth = 0
         self._remembered = KnownPublishers()  # of a latched topic
+        self._has_begun = False
         self._lost_seen = 0
         self._unmatched_ticks = 0
         self._reliability = _Reliability(route, self._unreliable)
 
     # --- the subscription
 
-    def begin(self, spec: TopicSpec, known: Mapping[bytes, int]) -> None:
+    def begin(self, spec: TopicSpec, known: Mapping[bytes, int], resends: int = 0) -> None:
         """Begin an opening. Subscribe to nothing yet.
 
         Args:
             known: for each publisher of a latched topic, the number of the newest message that the peer has.
+            resends: of `KnownPublishers`, as the peer remembers it of an earlier process of this side.
         """
+        if not self._has_begun:
+            self._has_begun, self._remembered.resends = True, resends
         self.spec = spec
         self._reliability = _Reliability(self._route, self._unreliable)
         # A new one: what is still queued for the former one is of an earlier opening, and so are the losses until now.

@@ -192,6 +192,7 @@ class Ready(ControlMessageBase, frozen=True):
     incarnation."""
     newest: NewestNumbers = msgspec.field(default_factory=dict)
     """The number of the newest message published here, of each publisher of a latched topic on the sending side."""
+    resends: Nanoseconds = 0  # as the last `Publishers` said, which a new process of the sending side does not know
 
 
 class Publishers(ControlMessageBase, frozen=True):
@@ -203,6 +204,7 @@ class Publishers(ControlMessageBase, frozen=True):
     of others may be dropped after a while."""
     alive: bool = False
     """Whether one of them is alive, by its liveliness lease: then the receiving side asserts its own."""
+    resends: Nanoseconds = 0  # when the newest message was published if it will be sent again, or 0
 
 
 class Provide(ControlMessageBase, frozen=True):
