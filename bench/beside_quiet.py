@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
+import re
 import sys
 import tempfile
 import threading
@@ -38,6 +39,7 @@ _SIZE = 2_500
 _DOMAINS = range(66, 100, 2)
 _IDLE_SECONDS = 10.0
 _MANY_RATE, _MANY_SIZE, _MANY_SECONDS = 10.0, 500, 10.0
+_SLEPT = re.compile(r"^voluntary_ctxt_switches:\s*(\d+)", re.MULTILINE)
 _FEW, _KEPT_UP = 0.99, 0.9
 """Shares of the messages that have to come, and of the rate that has to be reached, for a burst's CPU to count."""
 
@@ -169,13 +171,21 @@ def _measure(figures: Figures, number: int, plan: Plan, made: bed.Bed, rate: int
 def _measure_many(figures: Figures, number: int, plan: Plan, made: bed.Bed) -> None:
     made.talker.ask("talk 1")
     made.listener.ask("reset")
-    before = [side.cpu() for side in made.between]
+    before = [(side.cpu(), _switches(side)) for side in made.between]
     seconds = made.talker.ask(f"talk {_MANY_SECONDS}")["seconds"]
-    for at, (side, then) in enumerate(zip(made.between, before, strict=True)):
-        figures.add(number, plan.name, f"many {at}", 100 * (side.cpu() - then) / seconds)
+    for at, (side, (cpu, switches)) in enumerate(zip(made.between, before, strict=True)):
+        figures.add(number, plan.name, f"many {at}", 100 * (side.cpu() - cpu) / seconds)
+        messages = seconds * plan.busy * _MANY_RATE
+        figures.add(number, plan.name, f"many switches {at}", (_switches(side) - switches) / messages)
     report = made.listener.ask("report")
     for name in ("p50", "p99"):
         figures.add(number, plan.name, f"many {name}", report[name] / 1e6)
+
+
+def _switches(side: bed.Process) -> int:
+    """How often the threads of a process have slept, which a busy machine does not change as it changes seconds."""
+    tasks = Path(f"/proc/{side.pid}/task").glob("*/status")
+    return sum(int(_SLEPT.findall(each.read_text(encoding="ascii"))[0]) for each in tasks)
 
 
 def _print(figures: Figures, plans: Sequence[Plan]) -> None:
@@ -188,8 +198,12 @@ def _print(figures: Figures, plans: Sequence[Plan]) -> None:
         idle, memory = ([figures.spread(name, f"{what} {at}") for at in (0, 1)] for what in ("idle", "memory"))
         print(f"{name}: idle {_pair(idle, '.2f')} % of a core, {_pair(memory, '.0f')} MB")
         if plan.busy > 1:
-            print(f"  {cell(name, 'many 0', '.1f')} + {cell(name, 'many 1', '.1f')} % of a core, "
-                  f"p50 {cell(name, 'many p50', '.2f')}, p99 {cell(name, 'many p99', '.1f')} ms")  # fmt: skip
+            cpu, switches = (
+                " + ".join(cell(name, f"many {what}{at}", form) for at in (0, 1))
+                for what, form in (("", ".1f"), ("switches ", ".2f"))
+            )
+            print(f"  {cpu} % of a core, p50 {cell(name, 'many p50', '.2f')}, p99 {cell(name, 'many p99', '.1f')} ms, "
+                  f"{switches} sleeps of threads a message")  # fmt: skip
             continue
         first = plan._replace(quiet=plans[0].quiet).name
         for rate, _ in RATES:

@@ -161,7 +161,8 @@ class VolatileTopic:
         growth, deep = size - memory, self._depth > self._lasting_depth
         # Ten large messages would be kept by the other publisher, too.
         full = deep and growth > 0 and self._held + growth > max(_BURST_BYTES, self._lasting_depth * size)
-        if full or self._held + growth > self._asks_beyond or not self._affords(growth):
+        asks = full or self._held + growth > self._asks_beyond
+        if asks:
             self._recycle()
             memory = self._memory()
         since = self._unacknowledged_since
@@ -173,6 +174,10 @@ class VolatileTopic:
         try:
             self._reserve(size, memory)
         except SlowSubscriberError:
+            if not asks:  # much of that may be acknowledged by now
+                self._asks_beyond = 0
+                self._make_room(size, memory)
+                return
             # DDS may have enough free memory, but in pieces that are too small, or a kept burst fills the budget.
             if self._renew is None or (not deep and (self._waiting or not self._free)):
                 raise
@@ -241,20 +246,13 @@ class VolatileTopic:
                 self._unacknowledged_since = now
             self._asks_at = now + _ASKS_AGAIN_AFTER
 
-    def _charge(self, growth: int) -> int:
-        """Return the bytes of the link's budget that it takes to hold so many more."""
-        return max(0, self._held + growth - FREE) - self._charged
-
-    def _affords(self, growth: int) -> bool:
-        charge = self._charge(growth)
-        # As much as this topic has is left to the link's other topics.
-        return charge <= 0 or self._charged + charge <= self._budget.limit - self._budget.held - charge
-
     def _reserve(self, size: int, memory: int) -> None:
         growth = max(0, size - memory)
-        if not self._affords(growth):
-            raise SlowSubscriberError(self._budget.limit)
-        if (charge := self._charge(growth)) > 0:
+        charge = max(0, self._held + growth - FREE) - self._charged
+        if charge > 0:
+            # As much as this topic has is left to the link's other topics.
+            if self._charged + charge > self._budget.limit - self._budget.held - charge:
+                raise SlowSubscriberError(self._budget.limit)
             self._charged += charge
             self._budget.take(charge)
         self._waiting.append(memory + growth)
