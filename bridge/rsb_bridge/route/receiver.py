@@ -67,7 +67,7 @@ class Receiver:
         self.route = route
         self.carried: Carried[ReceivingChannel] = Carried()
         self.flow = TopicFlow(route, self.carried)
-        # The last ones of the present opening, and what the report was made of.
+        # The last ones of the present opening.
         self._last_counts: tuple[object, ...] = ()
         self._last_report: ReceivedReport | None = None
         self.rest = RestAfterArming(self.flow)

@@ -70,7 +70,7 @@ class Sender:
         self.route = route
         self.carried: Carried[SendingChannel] = Carried()  # to make a `Carried[…]` takes three calls more
         self.flow = TopicFlow(route, self.carried)
-        # The last ones of the present opening, and what the report was made of.
+        # The last ones of the present opening.
         self._last_counts: SentCounts | None = None
         self._last_report: SentReport | None = None
         self._told: Publishers | None = None  # of the publishers, to the peer
