@@ -36,6 +36,7 @@ from types import SimpleNamespace
 from typing import Any
 
 PROGRAMS = Path(__file__).parent / "peers/dds_programs/target/release"
+SERVER = "fast-discovery-server"
 _EVERY = 0.005  # s between two looks for samples, as in `dds_programs`
 _MOST = 1000
 """Samples that Cyclone DDS keeps for late joiners, and that one look takes."""
@@ -432,7 +433,8 @@ def main() -> None:
                 os.environ.pop(each, None)
             _become(os.environ["OTHER_PYTHON"], "-m", "bench.dds_ends", "stock", domain, name)
         case "server":
-            _become("fast-discovery-server", "-i", "0", "-l", "127.0.0.1", "-p", domain)
+            beside = Path(sys.executable).with_name(SERVER)  # of the same distribution, where ROS comes as wheels
+            _become(str(beside) if beside.exists() else SERVER, "-i", "0", "-l", "127.0.0.1", "-p", domain)
         case program:
             _become(str(PROGRAMS / program), domain)
 

@@ -30,7 +30,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Self
 
 from bench import bed  # noqa: F401 -- children find `bench` by it
-from bench.dds_ends import PROGRAMS
+from bench.dds_ends import PROGRAMS, SERVER
 
 from rsb_bridge.feature_api import attach
 from rsb_extras.bench.loopback import write_sessions
@@ -472,8 +472,8 @@ def _missing(part: Part) -> str:
         return "ROS's wheels take names of Python's, and this Python has no shared library"
     if part.program == "other" and "OTHER_PYTHON" not in os.environ:
         return "OTHER_PYTHON does not name a Python with this distribution"
-    if part.environ and shutil.which("fast-discovery-server") is None:
-        return "fast-discovery-server is not installed"
+    if part.environ and not Path(sys.executable).with_name(SERVER).exists() and shutil.which(SERVER) is None:
+        return f"{SERVER} is not installed"
     return ""
 
 
