@@ -36,7 +36,6 @@ from types import SimpleNamespace
 from typing import Any
 
 PROGRAMS = Path(__file__).parent / "peers/dds_programs/target/release"
-SERVER = "fast-discovery-server"
 _EVERY = 0.005  # s between two looks for samples, as in `dds_programs`
 _MOST = 1000
 """Samples that Cyclone DDS keeps for late joiners, and that one look takes."""
@@ -384,10 +383,9 @@ def _rosbridge_qos(qos: dict[str, float]) -> dict[str, Any]:
     policies: dict[str, Any] = {"history": "keep_last", "depth": int(qos.get("depth", 10))}
     policies["reliability"] = "best_effort" if "best_effort" in qos else "reliable"
     policies["durability"] = "transient_local" if "latched" in qos else "volatile"
-    names = {"deadline": "deadline", "lifespan": "lifespan", "lease": "liveliness_lease_duration"}
-    for name in names.keys() & qos.keys():
-        policies[names[name]] = {"secs": int(qos[name]), "nsecs": int(qos[name] % 1 * 1e9)}
-    return policies | ({"liveliness": "manual_by_topic"} if "lease" in qos else {})
+    for name in {"deadline", "lifespan"} & qos.keys():  # there is no liveliness
+        policies[name] = {"secs": int(qos[name]), "nsecs": int(qos[name] % 1 * 1e9)}
+    return policies
 
 
 def _executable(folder: Path) -> str:
@@ -433,8 +431,7 @@ def main() -> None:
                 os.environ.pop(each, None)
             _become(os.environ["OTHER_PYTHON"], "-m", "bench.dds_ends", "stock", domain, name)
         case "server":
-            beside = Path(sys.executable).with_name(SERVER)  # of the same distribution, where ROS comes as wheels
-            _become(str(beside) if beside.exists() else SERVER, "-i", "0", "-l", "127.0.0.1", "-p", domain)
+            _become("fast-discovery-server", "-i", "0", "-l", "127.0.0.1", "-p", domain)
         case program:
             _become(str(PROGRAMS / program), domain)
 
