@@ -383,10 +383,9 @@ def _rosbridge_qos(qos: dict[str, float]) -> dict[str, Any]:
     policies: dict[str, Any] = {"history": "keep_last", "depth": int(qos.get("depth", 10))}
     policies["reliability"] = "best_effort" if "best_effort" in qos else "reliable"
     policies["durability"] = "transient_local" if "latched" in qos else "volatile"
-    names = {"deadline": "deadline", "lifespan": "lifespan", "lease": "liveliness_lease_duration"}
-    for name in names.keys() & qos.keys():
-        policies[names[name]] = {"secs": int(qos[name]), "nsecs": int(qos[name] % 1 * 1e9)}
-    return policies | ({"liveliness": "manual_by_topic"} if "lease" in qos else {})
+    for name in {"deadline", "lifespan"} & qos.keys():  # there is no liveliness
+        policies[name] = {"secs": int(qos[name]), "nsecs": int(qos[name] % 1 * 1e9)}
+    return policies
 
 
 def _executable(folder: Path) -> str:

@@ -71,12 +71,14 @@ class Part(NamedTuple):
 
 
 _SERVER = 11811
-_OF_NODES = ("enhanced", "parameters", "clock", "keyed", "keyed_latched")
+_OF_NODES = ("enhanced", "parameters", "clock")
+_WITH_KEYS = ("keyed", "keyed_latched")
+"""Cases whose type an older distribution does not have."""
 _OF_PARTICIPANTS = ("keyed hears", "keyed_latched hears", "own_key")
 """They publish no type with a key to a node that has it: see docs/foreign.md, Types with a key."""
 PARTS = {
     "stock": Part("A stock node", "stock", _OF_NODES),
-    "kilted": Part("A node of Kilted, rclpy 9.1.2, Fast DDS 3.2.3", "other", _OF_NODES),
+    "kilted": Part("A node of Kilted, rclpy 9.1.2, Fast DDS 3.2.3", "other", (*_OF_NODES, *_WITH_KEYS)),
     "discovery-server": Part(
         "Stock nodes with a discovery server of Fast DDS",
         "stock",
@@ -335,9 +337,7 @@ CASES: Mapping[str, Callable[[Program, Program, str], Run]] = {
     "keyed_latched": _latched("keyed depth=1", ["m0", "m1", "m10", "m11"], ["m10", "m11"]),  # of each key the last
     "own_key": _series("", 20, 100, 0.05, of_part="key"),
 }
-_OF_KILTED = ("keyed", "keyed_latched")
-"""Whose type an older distribution does not have."""
-_NEED_MEANS = {"enhanced", "basic", "cyclone", "parameters", "clock", *_OF_KILTED, "own_key"}
+_NEED_MEANS = {"enhanced", "basic", "cyclone", "parameters", "clock", *_WITH_KEYS, "own_key"}
 _KINDS = dict.fromkeys(("enhanced", "basic", "cyclone"), "service") | {"parameters": "node"}
 """Of the cases that are no topics."""
 _LISTS = {"topic": "topics", "service": "services", "node": "parameters"}
@@ -436,7 +436,7 @@ def main() -> None:
         inside = ["unshare", "--map-root-user", "--net", "--mount", "sh", "-ec", _ALONE, "sh", *command]
         raise SystemExit(subprocess.run(inside, env=os.environ | {_INSIDE: "1"}, check=False).returncode)
     cases = options.cases.split(",")
-    if not _has_keyed_type() and (left_out := [case for case in cases if case in _OF_KILTED]):
+    if not _has_keyed_type() and (left_out := [case for case in cases if case in _WITH_KEYS]):
         cases = [case for case in cases if case not in left_out]
         print(f"{', '.join(left_out)}: no type with a key is installed: run this with Kilted's Python", flush=True)
     for name in options.parts.split(","):

@@ -42,7 +42,8 @@ _SHARED = {"large_best_effort": _LARGE}
 _REMEDIES: Mapping[str, Mapping[str, str]] = {
     "kilted": _SHARED,
     "discovery-server": _SHARED,
-    "cyclonedds": _SHARED | {"large": "publish less often, or latched: the first one is often lost"}
+    "cyclonedds": _SHARED
+    | {"large": "publish less often, or latched: the first one is often lost"}
     | dict.fromkeys(("keyed", "keyed_latched", "own_key"), _KEY),
     "rustdds": {
         "latched": "a late joiner hears all 7 that it keeps, now and then out of order: look at a stamp",
@@ -62,7 +63,7 @@ _REMEDIES: Mapping[str, Mapping[str, str]] = {
         "cyclone": "`ServiceMapping::Enhanced`",
         "clock": "it has `builtin_interfaces/Time` there, ROS `rosgraph_msgs/Clock`: publish that type by hand",
     },
-    "rosbridge": _SHARED | {"deadline": _NO_EVENTS, "liveliness": _NO_EVENTS},
+    "rosbridge": _SHARED | {"deadline": _NO_EVENTS, "liveliness": "it knows no liveliness: ask for no lease"},
     "dust-dds": dict.fromkeys(_CASES, _DUST) | {"large_best_effort": f"{_DUST}; {_BUFFER}", "own_key": _KEY},
 }
 """For a user, by part and case."""

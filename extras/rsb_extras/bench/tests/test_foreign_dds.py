@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import test_msgs.msg
 
 ROOT = Path(__file__).parents[4]
 PROGRAM = ROOT / "bench/peers/dds_programs/target/release/with_rustdds"
@@ -44,3 +45,18 @@ def test_messages_cross_both_ways_from_either_end(tmp_path: Path, part: str) -> 
     runs = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))[part]["cases"]["reliable"]
     counts = [(way, end, run["heard"]) for way, ends in runs.items() for end, run in ends.items()]
     assert sorted(counts) == [(way, end, 20) for way in ("hears", "speaks") for end in ("desk", "direct", "robot")]
+
+
+def test_parameters_cross_alone(tmp_path: Path) -> None:
+    """Without a topic beside them."""
+    ended = ran(tmp_path, "--parts", "stock", "--cases", "parameters", "--ends", "robot")
+    assert ended.returncode == 0, ended.stderr
+    runs = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))["stock"]["cases"]["parameters"]
+    assert [run["robot"]["heard"] for run in runs.values()] == [10, 10]
+
+
+def test_types_with_key_are_left_out_with_a_sentence(tmp_path: Path) -> None:
+    if hasattr(test_msgs.msg, "KeyedString"):
+        pytest.skip("this distribution has a type with a key")
+    ended = ran(tmp_path, "--parts", "stock", "--cases", "keyed", "--ends", "direct")
+    assert (ended.returncode, "run this with Kilted's Python" in ended.stdout) == (0, True), ended.stderr
