@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 # Routes renewed in one refresh, at the least, in some 6 ms by slices of 1 ms (`tasks.SLICE`); the others follow.
 # Refreshes until each had its turn, while somebody looks at more than so many: then no route's is older than a second.
 _AT_ONCE, _REFRESHES = 128, 4
-# s between two looks of somebody who goes on looking: until so long after the second, all is renewed. A log's status line
-# each 5 s waits for its own renewal instead.
+# s between two looks of somebody who goes on looking: until so long after the second, all is renewed. A log's status
+# line each 5 s waits for its own renewal instead.
 _LOOKED_AT_FOR = 2.0
 _SELDOM = 1.5  # Hz; somebody who looks no more often, as a log does once a second, is content with one renewal a second
 _EVERY, _EVERY_LOOKED_AT = 1.0, 0.25  # s from one renewal to the next
