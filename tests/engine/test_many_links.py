@@ -165,8 +165,8 @@ def test_snapshot_has_links_present_at_its_end(loop: VirtualLoop, make_context: 
 
 @pytest.mark.parametrize(
     ("looks", "least", "most"),
-    [(0.0, 0, 0), (1.0, 3 * LINKS, 5 * LINKS), (4.0, 4 * LINKS, 16 * LINKS)],
-    ids=["nobody", "log", "console"],
+    [(0.0, 0, 0), (0.2, LINKS, LINKS), (1.0, 3 * LINKS, 5 * LINKS), (4.0, 4 * LINKS, 16 * LINKS)],
+    ids=["nobody", "status line", "log", "console"],
 )
 def test_idle_routes_are_shown_anew_while_somebody_looks(
     looks: float, least: int, most: int, loop: VirtualLoop, make_context: Callable[..., Context]
@@ -207,6 +207,7 @@ def test_routes_that_show_the_same_are_shown_anew_after_an_event_or_when_the_clo
     (link,) = [Link(turns, routes=4)]
     link.snapshot = lambda: None  # type: ignore[method-assign]
     shown = publisher(context)
+    shown.newest()
 
     def renewals() -> int:
         before = turns.calls
@@ -269,4 +270,6 @@ def test_while_nobody_looks_figures_alone_are_seldom_renewed(
     link.routes["3"].only_counts = False
     assert renewals(5) == 20 + 4, "what may have changed has its turn each second"
     shown.newest()
-    assert renewals(1) == 20
+    assert renewals(5) == 20 + 4, "a single look waits for a renewal of its own"
+    shown.newest()
+    assert renewals(1) == 20, "somebody goes on looking"

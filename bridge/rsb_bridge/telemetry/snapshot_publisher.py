@@ -26,7 +26,9 @@ if TYPE_CHECKING:
 # Routes renewed in one refresh, at the least, in some 6 ms by slices of 1 ms (`tasks.SLICE`); the others follow.
 # Refreshes until each had its turn, while somebody looks at more than so many: then no route's is older than a second.
 _AT_ONCE, _REFRESHES = 128, 4
-_LOOKED_AT_FOR = 2.0  # s after a look, in which it counts
+# s between two looks of somebody who goes on looking: until so long after the second, all is renewed. A log's status
+# line each 5 s waits for its own renewal instead.
+_LOOKED_AT_FOR = 2.0
 _SELDOM = 1.5  # Hz; somebody who looks no more often, as a log does once a second, is content with one renewal a second
 _EVERY, _EVERY_LOOKED_AT = 1.0, 0.25  # s from one renewal to the next
 _CLOCK_SET = 0.1  # s by which the shown times of routes to which nothing happens may be wrong
@@ -111,12 +113,12 @@ class SnapshotPublisher:
         self._offset = 0.0  # s, of the wall clock, which snapshots tell times by, to the steady one
         self._looks = 0
         self._looks_at: deque[tuple[float, int]] = deque()
-        self._looked_at = -math.inf
+        self._looked_at = self._looked_again_at = -math.inf  # s, of the last look, and of the last soon after another
         self._turn = self._figures = 0
         self._published_at = clock.steady()
         self._is_watched = False  # by somebody who looks more often than once a second
         self._catch_up: Callable[[threading.Event], object] | None = None
-        self._waiting: list[threading.Event] = []  # of threads that look for the first time in a while
+        self._waiting: list[threading.Event] = []  # of threads that have only begun to look
 
     def newest(self) -> Snapshot:
         """Return the newest snapshot, once it has all of the present; called on any thread.
@@ -124,8 +126,11 @@ class SnapshotPublisher:
         If it is old, the I/O thread hangs, in the middleware, say. Nothing else of an engine would show that.
         """
         self._looks += 1
-        before, self._looked_at = self._looked_at, self._clock.steady()
-        if self._looked_at - before > _LOOKED_AT_FOR and self._catch_up is not None:
+        before, again, now = self._looked_at, self._looked_again_at, self._clock.steady()
+        self._looked_at = now
+        if now - before <= _LOOKED_AT_FOR:
+            self._looked_again_at = now
+        if now - again > _LOOKED_AT_FOR and self._catch_up is not None:
             caught_up = threading.Event()
             self._catch_up(caught_up)
             caught_up.wait(_CAUGHT_UP_WITHIN)
@@ -183,7 +188,7 @@ class SnapshotPublisher:
         """Renew the links, new routes, and of the others all, or some in turn where they follow soon."""
         # In this order: a look that is not among the waiting ones is seen by the next line.
         waiting, self._waiting = self._waiting, []
-        looked_at = self._clock.steady() - self._looked_at <= _LOOKED_AT_FOR
+        looked_at = bool(waiting) or self._clock.steady() - self._looked_again_at <= _LOOKED_AT_FOR
         links = bridge.links()
         self._notice_clock()
         if looked_at:
