@@ -3,23 +3,15 @@
 from __future__ import annotations
 
 import logging
-import re
-import sys
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
-from importlib import import_module
-from operator import attrgetter
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rsb_bridge.feature import API, GROUP, Feature
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
-
-_INFORMATION = re.compile(r"(?P<package>[^-]+)(-.*)?\.(dist|egg)-info")
-_ENTRY = re.compile(r"(?P<name>[^#;\[=\s][^=]*?)\s*=\s*(?P<place>[\w.]+:[\w.]+).*")
 
 _logger = logging.getLogger(__name__)
 
@@ -141,40 +133,19 @@ def installed() -> tuple[Feature, ...]:
 
 
 def _loaded() -> Iterator[Feature]:
-    for name, place in entry_points():
-        module, _, attribute = place.partition(":")
+    from importlib.metadata import entry_points  # noqa: PLC0415 -- 2 MB, which a console that draws pictures does without
+
+    for entry in entry_points(group=GROUP):
         try:
-            feature = attrgetter(attribute)(import_module(module))
+            feature = entry.load()
             if not isinstance(feature, Feature) or not isinstance(getattr(feature, "name", None), str):
-                raise TypeError(f"{place} is no instance of Feature with a name")
+                raise TypeError(f"{entry.value} is no instance of Feature with a name")
             if feature.API != API:
                 raise ImportError(f"it is written for version {feature.API} of features, and this is {API}")
         except Exception as error:  # noqa: BLE001 -- of code that is not ours, and of which a bridge must not depend
-            leave_out(name, "", _failure(error))
+            leave_out(entry.name, "", _failure(error))
         else:
             yield feature
-
-
-def entry_points() -> Iterator[tuple[str, str]]:
-    """Yield name and place (``package.module:NAME``) of each entry point of the group `GROUP` that is installed.
-
-    `importlib.metadata.entry_points` finds the same, but a bridge would keep what that imports: 1.5 MB.
-    """
-    files: dict[str, Path] = {}
-    for folder in map(Path, sys.path):
-        with suppress(OSError):  # a zip file, or a folder that is missing
-            for each in sorted(folder.iterdir()):
-                if found := _INFORMATION.fullmatch(each.name):
-                    # Of a package that is installed twice, the first on the path counts, as of modules.
-                    files.setdefault(re.sub(r"[_.]+", "_", found["package"]).lower(), each / "entry_points.txt")
-    for file in files.values():
-        with suppress(OSError):  # it has none
-            group = ""
-            for line in map(str.strip, file.read_text(encoding="utf-8", errors="replace").splitlines()):
-                if line.startswith("["):
-                    group = line.strip("[]")
-                elif group == GROUP and (entry := _ENTRY.fullmatch(line)):
-                    yield entry["name"], entry["place"]
 
 
 @cache

@@ -16,7 +16,7 @@ from rsb_console.actions.all_actions import OF_CORE
 
 ROOT = Path(__file__).parents[2]
 FOLDERS = {each.parent.name: each.parent for each in ROOT.glob("extras/rsb_extras/*/__init__.py")}
-WITHOUT = "from rsb_bridge import installed_features\ninstalled_features.entry_points = lambda: ()\n"
+WITHOUT = "import importlib.metadata\nimportlib.metadata.entry_points = lambda **_: ()\n"
 
 
 def imported_features(folder: Path) -> set[str]:

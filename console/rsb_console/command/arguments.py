@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from importlib import import_module
+from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 from rsb_bridge.installed_features import features_with, guarded, leave_taken
@@ -58,8 +59,8 @@ def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
         formatter_class=argparse.RawDescriptionHelpFormatter,
         parents=[debug],
     )
-    # Only listed: `cli` shows it, without all this.
-    parser.add_argument("--version", action="version", version="rsb-console", help="show the version and exit")
+    shown = f"rsb-console {version('rsb-console')}"  # `cli` shows it, too, without all this
+    parser.add_argument("--version", action="version", version=shown, help="show the version and exit")
     subparsers = parser.add_subparsers(metavar="COMMAND", required=True, parser_class=CommandParser)
 
     def command(

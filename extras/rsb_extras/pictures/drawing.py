@@ -18,6 +18,7 @@ import struct
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cache
+from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING, NamedTuple, cast
 
 from rsb_bridge.cdr.decoder import Items
@@ -26,8 +27,6 @@ from rsb_bridge.model.text import single_cells
 from rsb_extras.pictures.picture import Cells
 
 if TYPE_CHECKING:
-    from importlib.metadata import EntryPoint
-
     from rsb_bridge.cdr.decoder import Message, Value
     from rsb_extras.pictures.picture import FieldNumber, Pixels, Scale, Series, Wish
 
@@ -187,8 +186,6 @@ def is_layer(type_name: str) -> bool:
 
 @cache
 def _added_views() -> dict[str, EntryPoint]:
-    from importlib.metadata import entry_points  # noqa: PLC0415 -- 1.5 MB, which a bridge does without
-
     # Of a type that this program draws, its own view counts: no package that is installed changes what operators know.
     return {each.name: each for each in entry_points(group=_GROUP)}
 
