@@ -209,8 +209,8 @@ class ReliableSender(DatagramSender):
         if not self._flight or self.is_suspended:
             return
         patience = self.via.pacer.patience
-        # One datagram that asks is enough for all routes, but a receipt tells nothing of a route whose last one got lost:
-        # beside routes that ask all the time, it waits for one answer.
+        # One datagram that asks is enough for all routes. But its receipt tells nothing of a route whose last one got
+        # lost: beside routes that ask all the time, it waits for one answer only.
         asked_at = min(self.via.asked_at, self._moved_at + patience)
         if not self._again and self._loop.time() - max(self._moved_at, asked_at) >= patience:
             sequence, sent = next(reversed(self._flight.items()))
