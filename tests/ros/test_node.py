@@ -21,7 +21,7 @@ from tests.support.waiting import eventually
 from rsb_bridge.model.qos import PROFILES, Qos
 from rsb_bridge.ros.node import RosNode
 from rsb_bridge.ros.publication_numbers import PublicationNumbers, Untaken
-from rsb_bridge.ros.ros_interface import Demand, TopicSpec
+from rsb_bridge.ros.ros_interface import TopicSpec
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
@@ -427,50 +427,7 @@ def test_what_no_subscription_took_is_counted_by_reason(open_node: Callable[...,
     eventually(lambda: node.publishers("/fast"))
     for count, gap in ((7, Untaken.UNSUBSCRIBED), (5, Untaken.MISSED), (3, Untaken.LOST), (2, Untaken.MISSED)):
         subscribed_after(count, gap)
-    assert numbers.counts == {Untaken.UNSUBSCRIBED: 7, Untaken.MISSED: 7, Untaken.LOST: 3, Untaken.UNASKED: 0}
-
-
-def test_demand_takes_the_newest(open_node: Callable[..., RosNode]) -> None:
-    """What is not asked for stays in DDS, and counts; after nothing, the next one comes by itself."""
-    node, other = open_node(), open_node(name="other")
-    received, numbers, demand = Received(), PublicationNumbers(time.monotonic), Demand()
-    numbers.missing = Untaken.UNASKED
-    publisher = other.advertise(strings("/images"), "link")
-    node.subscribe(strings("/images", Qos(depth=1)), received, "link", numbers=numbers, demand=demand)
-    eventually(lambda: publisher.subscriber_count)
-    publisher.publish(payload("first"))
-    eventually(lambda: received.payloads == [payload("first")])
-    for number in range(100):
-        publisher.publish(payload(str(number)))
-    eventually(lambda: publisher.acknowledged)
-    (taken,) = demand.newest()
-    assert taken.payload == payload("99")
-    assert numbers.counts[Untaken.UNASKED] == 99
-    assert not demand.newest()
-    publisher.publish(payload("last"))
-    eventually(lambda: received.payloads == [payload("first"), payload("last")])
-    assert numbers.counts[Untaken.UNASKED] == 99
-    demand.await_next()
-    publisher.publish(payload("awaited"))
-    eventually(lambda: received.payloads[2:] == [payload("awaited")])
-
-
-def test_demand_takes_newest_of_each_publisher(open_node: Callable[..., RosNode]) -> None:
-    node, one, two = open_node(), open_node(name="one"), open_node(name="two")
-    received, numbers, demand = Received(), PublicationNumbers(time.monotonic), Demand()
-    numbers.missing = Untaken.UNASKED
-    publishers = [each.advertise(strings("/images"), "link") for each in (one, two)]
-    node.subscribe(strings("/images"), received, "link", numbers=numbers, demand=demand)
-    for publisher in publishers:
-        eventually(lambda publisher=publisher: publisher.subscriber_count)
-    publishers[0].publish(payload("first"))
-    eventually(lambda: received.payloads == [payload("first")])
-    for number in range(10):
-        for publisher in publishers:
-            publisher.publish(payload(str(number)))
-    eventually(lambda: all(each.acknowledged for each in publishers))
-    assert [each.payload for each in demand.newest()] == [payload("9")] * 2
-    assert numbers.counts[Untaken.UNASKED] == 18
+    assert numbers.counts == {Untaken.UNSUBSCRIBED: 7, Untaken.MISSED: 7, Untaken.LOST: 3}
 
 
 def test_a_history_that_begins_late_is_no_loss(

@@ -42,7 +42,7 @@ class FakeRos(NoRos):
     def __init__(self) -> None:
         self.made: list[FakeSubscription] = []
 
-    def subscribe(self, spec: TopicSpec, sink: Any, *_: Any, express: bool = False, **__: Any) -> Any:
+    def subscribe(self, spec: TopicSpec, sink: Any, *_: Any, express: bool = False) -> Any:
         self.made.append(FakeSubscription(spec.qos, sink, express=express))
         return self.made[-1]
 

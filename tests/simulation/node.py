@@ -136,7 +136,6 @@ class Node:
         numbers: PublicationNumbers | None = None,
         *,
         express: bool = False,
-        **__: object,
     ) -> Reader:
         self._check_type(spec.type_name, spec.type_hash)
         reader = Reader(self._domain, self._name, *spec, self._taking(sink), origin, on_failure, numbers)

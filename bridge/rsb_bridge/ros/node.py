@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.participant import Participant
     from rsb_bridge.ros.publication_numbers import PublicationNumbers
     from rsb_bridge.ros.ros_interface import (
-        Demand,
         Endpoint,
         LostPort,
         OnFailure,
@@ -219,20 +218,13 @@ class RosNode:
         numbers: PublicationNumbers | None = None,
         *,
         express: bool = False,
-        demand: Demand | None = None,
     ) -> Subscription:
         with self._lock:
             participant = self._joined()
-            on_demand = demand is not None and not participant.arrivals.repeats
-            reader = participant.create_reader(spec, numbers, express=express, on_demand=on_demand)
+            reader = participant.create_reader(spec, numbers, express=express)
             key = (reader.topic, origin)
             # It gets the set itself: the messages of publishers that this link makes later are left out, too.
-            about = reader, spec.qos, sink, on_failure, key, self._own[key], self
-            if demand is None or not on_demand:
-                subscription = _Subscription(*about)
-            else:
-                subscription = asked = _AskedSubscription(*about)
-                demand.newest, demand.await_next = asked.newest, asked.await_next
+            subscription = _Subscription(reader, spec.qos, sink, on_failure, key, self._own[key], self)
             self._drain(subscription, participant)
         return subscription
 
@@ -590,35 +582,6 @@ class _Subscription(Drain[RawMessage]):
     def liveliness(self) -> Liveliness:
         alive, unjudged = self._reader.liveliness
         return Liveliness(max(0, alive - self._node.own_asserted(self.key, self.qos)), unjudged)
-
-
-class _AskedSubscription(_Subscription):
-    """A subscription that is taken from when it is asked, and once when something comes after there was nothing."""
-
-    _lacks = True
-
-    def deliver(self, repeats: bool) -> float | None:
-        if self._lacks and (batch := self.newest()):
-            self._sink(batch)
-        return None
-
-    def await_next(self) -> None:
-        self._lacks = True
-
-    def newest(self) -> Sequence[RawMessage]:
-        with self._delivering:
-            if self._closed:
-                return ()
-            self._lacks = True  # first: what comes after the take is reported
-            try:
-                batch = self._reader.newest(self.own)
-            except RosError as error:
-                self.close()
-                if self._on_failure is not None:
-                    self._on_failure(error)
-                return ()
-            self._lacks = not batch
-            return batch
 
 
 class _Publisher:

@@ -168,17 +168,9 @@ class Participant:
             raise RosError(f"{node} cannot be asked: {reason_of(error)}") from error
 
     def create_reader(
-        self,
-        spec: TopicSpec,
-        numbers: PublicationNumbers | None = None,
-        *,
-        express: bool = False,
-        on_demand: bool = False,
+        self, spec: TopicSpec, numbers: PublicationNumbers | None = None, *, express: bool = False
     ) -> Reader:
         """Create a raw subscription.
-
-        Args:
-            on_demand: whether other threads take from it, too, one at a time.
 
         Raises:
             RosError: the type, the name or the QoS will not do.
@@ -193,8 +185,7 @@ class Participant:
             qos = msgspec.structs.replace(qos, liveliness_lease_duration=lease)
         handle = self._create("subscription", spec.topic, borrow_type(spec.type_name, spec.type_hash), qos)
         liveliness = LivelinessOfPublishers(handle.rclpy) if lease else None
-        buffer = TakeBuffer() if on_demand else self._buffer
-        return Reader(handle, buffer, earlier, numbers, liveliness, express=express)
+        return Reader(handle, self._buffer, earlier, numbers, liveliness, express=express)
 
     def create_writer(self, spec: TopicSpec) -> Writer:
         """Create a raw publisher; errors as `create_reader`.

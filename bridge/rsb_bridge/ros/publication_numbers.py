@@ -16,15 +16,11 @@ _DISCOVERED_WITHIN = 5.0
 
 
 class Untaken(StrEnum):
-    """Reasons why messages were not taken, named as the fields of `rsb_bridge.model.snapshot.Ledger`.
-
-    Those that a route does not ask for (`rsb_bridge.route.on_demand`) are in the ledger's `dropped` instead.
-    """
+    """Reasons why messages were not taken, named as the fields of `rsb_bridge.model.snapshot.Ledger`."""
 
     LOST = "lost_in_dds"
     MISSED = "missed_while_down"
     UNSUBSCRIBED = "unsubscribed"
-    UNASKED = "unasked"
 
 
 _NONE_YET: Mapping[str, int] = MappingProxyType(dict.fromkeys(Untaken, 0))
@@ -42,16 +38,14 @@ class PublicationNumbers:
     Attributes:
         newest: the number taken last, by publisher, in the present subscription. The thread that takes changes it.
         counts: messages that were not taken, by `Untaken`.
-        gap: why the messages before the next subscription are not taken. After it, `missing` until it is set again: a
-            subscription that is replaced was meant to last.
-        missing: why messages are not taken during a subscription.
+        gap: why the messages before the next subscription are not taken. After it, `Untaken.LOST` until it is set
+            again: a subscription that is replaced was meant to last.
     """
 
     def __init__(self, clock: Callable[[], float]) -> None:
         self.newest: dict[bytes, int] = {}
         self.counts: dict[str, int] = dict(_NONE_YET)
         self.gap = Untaken.UNSUBSCRIBED
-        self.missing = Untaken.LOST
         self._clock = clock
         self._before: dict[bytes, int] = {}  # the newest numbers of earlier subscriptions
         self._present_gap = self.gap
@@ -67,7 +61,7 @@ class PublicationNumbers:
         """
         self._before |= self.newest
         self.newest = {}
-        self._present_gap, self.gap = self.gap, self.missing
+        self._present_gap, self.gap = self.gap, Untaken.LOST
         self._earlier, self._began_at = earlier, self._clock()
 
     def first(self, publisher: bytes, number: int) -> int:
@@ -76,14 +70,14 @@ class PublicationNumbers:
         if before is None:
             before = number - 1 if self._forgot else 0
             if self._is_newcomer(publisher):
-                gap = self.missing
+                gap = Untaken.LOST
         self.counts[gap] += max(0, number - 1 - before)
         self._make_room()
         return number - 1
 
     def lose(self, count: int) -> None:
         """Count messages that are missing between two that were taken."""
-        self.counts[self.missing] += count
+        self.counts[Untaken.LOST] += count
 
     def _is_newcomer(self, publisher: bytes) -> bool:
         """Whether a publisher came after the subscription, which so should have had its first message."""

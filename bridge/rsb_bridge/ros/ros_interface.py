@@ -191,19 +191,6 @@ class Subscription(Protocol):
         """Stop taking, and free it. After it returns the sink is not called again. May be called twice."""
 
 
-class Demand:
-    """Asks a user's subscription for messages.
-
-    Attributes:
-        newest: takes the newest message of each publisher, from any thread. After none, the sink gets the next one.
-        await_next: has the sink get the next one anyway, which the ROS thread takes.
-    """
-
-    def __init__(self) -> None:
-        self.newest: Callable[[], Sequence[RawMessage]] = tuple
-        self.await_next: Callable[[], None] = lambda: None
-
-
 class Publisher(Protocol):
     """A raw publisher. May be used from the engine's I/O thread.
 
@@ -334,7 +321,6 @@ class RouteEnds(Protocol):
         numbers: PublicationNumbers | None = None,
         *,
         express: bool = False,
-        demand: Demand | None = None,
     ) -> Subscription:
         """Subscribe raw, to a type installed here or known by name and hash only.
 
@@ -342,8 +328,7 @@ class RouteEnds(Protocol):
         bridged both ways over one link from looping. A subscription that fails later closes itself and calls
         `on_failure`; it is never called for one that was closed. `numbers` goes on with each subscription of a user to
         the topic, one at a time, and counts what none of them took. What is `express` is taken at once, or else with
-        other topics' messages where there are many (`rsb_bridge.ros.turn_pacing`). With a `demand`, the sink gets one
-        batch, and another one each time that there was none to ask for; where DDS has no events, it gets all.
+        other topics' messages where there are many (`rsb_bridge.ros.turn_pacing`).
 
         Raises:
             RosError: no such type and no hash, an rmw that cannot do without the type, a bad name.

@@ -29,7 +29,7 @@ from rsb_bridge.ros.native.librcl import (
 )
 from rsb_bridge.ros.native.rclpy_extension import assert_liveliness, deserialize, reason_of, refuses
 from rsb_bridge.ros.publication_numbers import PublicationNumbers
-from rsb_bridge.ros.ros_interface import BATCH, Liveliness, RawMessage, RosError, RosProblem, has_key
+from rsb_bridge.ros.ros_interface import Liveliness, RawMessage, RosError, RosProblem, has_key
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
@@ -143,18 +143,6 @@ class Reader:
             last[gid] = number
             taken.append(_new(RawMessage, (buffer.taken(), stamp, gid, number, 0, source)))
         return taken if size else None
-
-    def newest(self, skip: Collection[bytes]) -> list[RawMessage]:
-        """Take all messages that there are, and return the newest of each publisher; the others count as missing."""
-        found: dict[bytes, RawMessage] = {}
-        while batch := self.take(BATCH, skip):
-            replaced = len(found) + len(batch)
-            found |= {each.gid: each for each in batch}
-            if replaced > len(found):
-                self.numbers.lose(replaced - len(found))
-            if not self.has_more:
-                break
-        return [*found.values()]
 
     @property
     def matched(self) -> int:

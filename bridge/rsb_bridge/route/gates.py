@@ -33,7 +33,6 @@ from rsb_bridge.model.budgets import TokenBucket
 from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.crossing import Crossing
-from rsb_bridge.route.ledger import QUEUE_FULL
 from rsb_bridge.wire.framing import LEASED
 from rsb_bridge.wire.headers import LEASE_HEADER_LENGTH, CallFrame, frame_size, split_number
 
@@ -221,7 +220,7 @@ def loop_sieve(loops: LoopFilter, route: Route, ledger: RouteLedger) -> Sieve[Ra
             # `advance` may have ended the opening: then the messages would not loop, but are lost with it.
             ledger.lose("would loop" if route.id else "link lost", len(passed) - len(sent))
             passed = sent
-        ledger.lose(QUEUE_FULL, loops.give_up())
+        ledger.lose("queue full", loops.give_up())
         return passed
 
     def sieve(batch: Sequence[RawMessage]) -> Sequence[RawMessage]:

@@ -29,8 +29,6 @@ _MOST_CAUSES = 32
 _OTHER = "other"
 OUTAGE, KEEP_FULL = "outage", "keep full"
 """Left out of a queue: older than the topic promises to keep for a link that is away; beyond the bytes of `keep`."""
-QUEUE_FULL, NOT_TAKEN = "queue full", "not taken"
-"""Left out of a queue, or left in DDS, as more is published than the link carries (`rsb_bridge.route.on_demand`)."""
 REPLACED = "replaced"
 """Left out of the queue of what may move a robot, as a newer message came before the link took it."""
 THROTTLED = "throttled"
@@ -45,12 +43,9 @@ CAUSES = {
 INCOMPLETE = "incomplete"
 """The receiver gave these up because parts of them did not come."""
 LOSSES: dict[str, tuple[Cause, str]] = {
-    **dict.fromkeys(
-        (QUEUE_FULL, NOT_TAKEN),
-        (
-            Cause.QUEUE_FULL,
-            "more is published than the link carries: set max_rate, compression: zstd or priority",
-        ),
+    "queue full": (
+        Cause.QUEUE_FULL,
+        "more is published than the link carries: set max_rate, compression: zstd or priority",
     ),
     REPLACED: (
         Cause.QUEUE_FULL,

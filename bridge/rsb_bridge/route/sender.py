@@ -28,7 +28,6 @@ from rsb_bridge.route.ledger import OUTAGE, RouteLedger
 from rsb_bridge.route.lifecycle import RouteEvent, RoutePhase
 from rsb_bridge.route.listeners import PublishedAs
 from rsb_bridge.route.loop_filter import LoopFilter
-from rsb_bridge.route.on_demand import OnDemand
 from rsb_bridge.route.renewal import Renewal
 from rsb_bridge.route.resolving import Resolver
 from rsb_bridge.route.sending import OutgoingPath
@@ -82,7 +81,6 @@ class Sender:
         self.path = OutgoingPath(self.flow, self.counts, self.loop_filter, self.backlog)
         route.rested.append(self.path.traffic.rested)
         self.subscription = TopicSubscription(route, self.path, self.loop_filter, self._look_who_is_present)
-        self._on_demand = OnDemand(self.flow, self.path, self.subscription)
         self._unwanted = True  # since the last subscription, messages were not to cross for a while
         self.lazy = LazySender(route, self.flow)
         self._renewal = Renewal(route, self.subscription)
@@ -345,8 +343,6 @@ class Sender:
             self.route.peer.send(Limit(route=self.route.id, max_rate=self.route.limit.own))
         self.flow.act(now, awaited=crossing.flows or self.facts.lacks_publisher(crossing))
         self.subscription.tick(self.carried.endpoints)
-        if self.counts.dropped:
-            self._on_demand.tick(now)
         if self.route.age.publishers.since is None and crossing.flows and not self.flow.is_latched:
             self._tick_clocks()
 
@@ -393,8 +389,6 @@ class Sender:
         """Gets none: the peer does not even have its key."""
 
     def flush(self) -> None:
-        if self.subscription.demand is not None:
-            self._on_demand.turn()
         self.path.flush()
 
     def configure(self) -> None:

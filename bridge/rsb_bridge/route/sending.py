@@ -16,7 +16,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import AUTO_DEPTH, AUTO_SECONDS, QUEUE_BYTES
 from rsb_bridge.route.beat import Beats
 from rsb_bridge.route.gates import NO_SAMPLE, chained, compose_when_switched, sending_gates, sifting
-from rsb_bridge.route.ledger import CAUSES, KEEP_FULL, NOT_TAKEN, OUTAGE, QUEUE_FULL, REPLACED
+from rsb_bridge.route.ledger import CAUSES, KEEP_FULL, OUTAGE, REPLACED
 from rsb_bridge.route.peeking import peeked
 from rsb_bridge.route.rate_limit import LastLater, LatestLater, Throttle
 from rsb_bridge.route.route import promised_keep, route_weight
@@ -320,7 +320,7 @@ class Outbox:
         elif self._route.age.only_newest:
             self._ledger.drop(REPLACED, old + beyond)
         else:
-            self._ledger.drop(QUEUE_FULL, old + beyond)
+            self._ledger.drop("queue full", old + beyond)
             self._overload.dropped(now)
 
     def _is_silent(self, now: float) -> bool:
@@ -546,13 +546,6 @@ class OutgoingPath:
         """Drop messages that come after their opening."""
         self._route.wake()
         self.ledger.lose("link lost", len(batch))
-
-    def leave_out(self, count: int, now: float) -> None:
-        """Count messages that were left in DDS until `now` (s)."""
-        self.ledger.lose(NOT_TAKEN, count)
-        self.traffic.offered += count
-        meter = self._route.meter
-        self._flow.count(count, count * meter.bytes // max(1, meter.count), now)
 
     # --- of a volatile topic
 

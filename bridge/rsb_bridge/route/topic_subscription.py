@@ -16,7 +16,7 @@ from rsb_bridge.model.qos import auto_depth, parts_of_lease
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.ros.lasting_subscription import LastingSubscription
 from rsb_bridge.ros.publication_numbers import PublicationNumbers, Untaken
-from rsb_bridge.ros.ros_interface import BATCH, Demand, RosError
+from rsb_bridge.ros.ros_interface import BATCH, RosError
 from rsb_bridge.route.combined_verdict import named
 from rsb_bridge.route.history_depth import Histories, KnownPublishers, note_taken
 from rsb_bridge.route.lease import Marker
@@ -60,7 +60,6 @@ class TopicSubscription:
         spec: the present opening's topic, with the QoS that publishers offer or an operator wants; or None before.
         histories: of a latched topic's publishers, or None for a volatile topic.
         numbers: over all openings.
-        demand: asks for messages, where they come on demand in the present opening; else None.
     """
 
     def __init__(
@@ -73,7 +72,6 @@ class TopicSubscription:
         self.spec: TopicSpec | None = None
         self.histories: Histories | None = None
         self.numbers = PublicationNumbers(route.context.loop.time)
-        self.demand: Demand | None = None
         self._liveliness: _Liveliness | None = None
         self._context = context = route.context
         self._route = route
@@ -156,21 +154,6 @@ class TopicSubscription:
             self.numbers.gap = Untaken.UNSUBSCRIBED
             self._subscription.renew()
 
-    def take_on_demand(self, offer: Callable[[Sequence[RawMessage]], None] | None) -> None:
-        """Subscribe anew, from now on on demand, or as before.
-
-        Args:
-            offer: gets messages that come after there were none, or None to take all as they come.
-        """
-        self._receiver = _Receiver(offer or self._path.offer)
-        self._set_demand(None if offer is None else Demand())
-        if self._subscription is not None:
-            self.numbers.gap = Untaken.UNASKED
-            self._subscription.reopen()
-
-    def _set_demand(self, demand: Demand | None) -> None:
-        self.demand, self.numbers.missing = demand, Untaken.LOST if demand is None else Untaken.UNASKED
-
     def close(self) -> int:
         """End the opening, drop the messages that the histories hold, and return their number."""
         self._receiver.offer = self._path.too_late  # they may be older than what arms the next opening
@@ -178,7 +161,6 @@ class TopicSubscription:
         if self.histories is not None:
             self._receiver.offer = self._latched_too_late
             held = self.histories.close()
-        self._set_demand(None)
         self.spec = self.histories = None
         self.unsubscribe()
         return held
@@ -251,7 +233,7 @@ class TopicSubscription:
     @property
     def _is_deepened(self) -> bool:
         """Whether the depth is chosen here: neither an operator has, nor are all messages kept anyway."""
-        qos = self.spec.qos if self.spec is not None and self.demand is None else None
+        qos = self.spec.qos if self.spec is not None else None
         return self._is_automatic and qos is not None and not qos.latched and qos.history != "keep_all"
 
     def _unreliable(self) -> None:
@@ -264,8 +246,6 @@ class TopicSubscription:
         qos, meter = self._reliability.asked(self.spec.qos), self._route.meter
         if qos.latched:
             return msgspec.structs.replace(qos, history="keep_all")  # each publisher keeps what it keeps
-        if self.demand is not None:
-            return msgspec.structs.replace(qos, history="keep_last", depth=1)
         if not self._is_deepened:
             return qos
         rate = meter.usual_rate or meter.rate or self._route.spec.expected_rate or None
@@ -297,13 +277,11 @@ class TopicSubscription:
 
             sink = put_marked
         # What this node publishes for the same peer is left out.
-        return self._route.ends.subscribe(
-            spec, sink, self._route.peer.name, on_failure, numbers, express=express, demand=self.demand
-        )
+        return self._route.ends.subscribe(spec, sink, self._route.peer.name, on_failure, numbers, express=express)
 
     def _is_express(self, spec: TopicSpec) -> bool:
         """Whether messages are taken as they come: also where few are kept until then, or others' clocks follow."""
-        shallow = spec.qos.history == "keep_last" and 0 < spec.qos.depth < _SHALLOW and self.demand is None
+        shallow = spec.qos.history == "keep_last" and 0 < spec.qos.depth < _SHALLOW
         return shallow or self._route.proposal.express or self._route.arming.required or spec.type_name == CLOCK
 
     def _changed(self) -> None:

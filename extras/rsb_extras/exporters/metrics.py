@@ -37,7 +37,7 @@ OTHER = "other"
 DROPPED = frozenset(
     {
         "already published", "disarmed", "expands too much", "incomplete", "keep full", "latched full", "link lost",
-        "lost on the way", "malformed", "not taken", "outage", "paused", "publish failed", "queue full", "replaced",
+        "lost on the way", "malformed", "outage", "paused", "publish failed", "queue full", "replaced",
         "slow subscriber", "too complex", "too large", "unknown source", "would loop",
     }
 )  # fmt: skip
