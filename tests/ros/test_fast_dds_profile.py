@@ -132,12 +132,7 @@ def test_its_histories_are_the_bridges_own(variable: str) -> None:
 @pytest.mark.parametrize("variable", memory.PROFILE_VARIABLES)
 def test_profile_of_topic_is_the_prompt_one(variable: str, tmp_path: Path) -> None:
     file = tmp_path / "topic.xml"
-    environment = {} if variable == memory.PROFILE_VARIABLES[1] else {"AMENT_PREFIX_PATH": str(tmp_path)}
-    (tmp_path / "lib").mkdir()
-    (tmp_path / "lib/libfastrtps.so").touch()
-    if memory.profile_variable(environment) != variable:
-        pytest.skip("this environment has Fast DDS 2")
-    file.write_bytes(memory.prompt_writer(environment, "/robot/scan"))
+    file.write_bytes(memory.prompt_writer(variable, "/robot/scan"))
     (profile,) = ElementTree.parse(file).getroot()
     assert profile.attrib == {"profile_name": "/robot/scan"}
 

@@ -65,9 +65,13 @@ def histories_that_shrink(environment: MutableMapping[str, str]) -> Iterator[boo
         yield True
 
 
-def prompt_writer(environment: Mapping[str, str], topic: str) -> bytes:
-    """Return the XML of the profile `prompt_writer` under the name of a topic, for which rmw_fastrtps looks first."""
-    text = HISTORIES[profile_variable(environment)].read_text(encoding="utf-8")
+def prompt_writer(variable: str, topic: str) -> bytes:
+    """Return the XML of the profile `prompt_writer` under the name of a topic, for which rmw_fastrtps looks first.
+
+    Args:
+        variable: as `profile_variable` names it.
+    """
+    text = HISTORIES[variable].read_text(encoding="utf-8")
     head, profile = re.search(r"<profiles .*?>", text), re.search(_PROMPT_WRITER, text, re.DOTALL)
     assert head is not None
     assert profile is not None

@@ -17,7 +17,7 @@ from rsb_bridge.model.names import is_topic_name
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.arrivals import EventArrivals, WaitSetArrivals
 from rsb_bridge.ros.distribution import described
-from rsb_bridge.ros.memory import prompt_writer
+from rsb_bridge.ros.memory import profile_variable, prompt_writer
 from rsb_bridge.ros.native.description_service import ask_node
 from rsb_bridge.ros.native.fast_dds_profiles import load_profiles
 from rsb_bridge.ros.native.librcl import TakeBuffer, graph_guard_condition, reset_error
@@ -285,7 +285,7 @@ class Participant:
 @cache
 def _be_prompt(topic: str) -> None:
     """Have Fast DDS give this process's writers on a topic, from now on, the profile that asks readers soon."""
-    load_profiles(prompt_writer(os.environ, topic))
+    load_profiles(prompt_writer(profile_variable(os.environ), topic))
 
 
 def _named(found: list[tuple[str, list[str]]]) -> dict[str, list[str]]:
