@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rsb_console.feature_console import Action, AddCommand, Complete
 
 
-class Unit(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+class ListedUnit(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """Something that supervises nodes. Each action is a program and its arguments; no shell reads them.
 
     Attributes:
@@ -35,7 +35,9 @@ class Unit(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_default
     timeout: float = 30.0
 
 
-UNITS: SessionKey[dict[str, Unit]] = SessionKey("units", dict[str, Unit], {}, live=True, hidden_as="list of commands")
+UNITS: SessionKey[dict[str, ListedUnit]] = SessionKey(
+    "units", dict[str, ListedUnit], {}, live=True, hidden_as="list of commands"
+)
 """The units of this machine, by name."""
 MAY_ASK: PeerRight[tuple[str, ...]] = PeerRight("units", tuple[str, ...], ())
 """The units whose actions the other side may ask for."""

@@ -34,7 +34,7 @@ _STATES: Mapping[int | None, UnitState] = {
 """LSB 5.0, init script actions, `status`; `systemctl is-active` ends with 0 and 3."""
 
 
-class Ended(NamedTuple):
+class CommandEnd(NamedTuple):
     """The end of a command.
 
     Attributes:
@@ -55,7 +55,7 @@ class Ended(NamedTuple):
         return tuple(sanitize_text(line.rstrip(), TEXT_LENGTH) for line in lines if line.strip())[-LINES:]
 
 
-def state_of(status: Ended) -> UnitState:
+def state_of(status: CommandEnd) -> UnitState:
     """Return the state that the end of a unit's `status` tells."""
     # systemd has no exit code of its own for a unit that failed.
     if status.code == 3 and status.output.strip() == b"failed":
@@ -63,7 +63,7 @@ def state_of(status: Ended) -> UnitState:
     return UnitState.UNKNOWN if status.was_late else _STATES.get(status.code, UnitState.UNKNOWN)
 
 
-def run_words(words: Sequence[str], seconds: float, clock: Clock, stop: threading.Event) -> Ended:
+def run_words(words: Sequence[str], seconds: float, clock: Clock, stop: threading.Event) -> CommandEnd:
     """Run a command to its end; call it on a thread.
 
     Args:
@@ -76,7 +76,7 @@ def run_words(words: Sequence[str], seconds: float, clock: Clock, stop: threadin
             env={name: os.environ[name] for name in _PASSED if name in os.environ}, start_new_session=True,
         )  # fmt: skip
     except OSError as error:
-        return Ended(problem=f"{words[0]} cannot be run: {error.strerror}")
+        return CommandEnd(problem=f"{words[0]} cannot be run: {error.strerror}")
     assert process.stdout is not None
     with process.stdout as pipe:
         os.set_blocking(pipe.fileno(), False)
@@ -88,13 +88,13 @@ def run_words(words: Sequence[str], seconds: float, clock: Clock, stop: threadin
             if clock.steady() >= due or (stop.is_set() and not was_late):
                 was_late, due = True, clock.steady() + _ENDS_WITHIN
                 if not signals:
-                    return Ended(None, was_late, output)  # it waits for a disk
+                    return CommandEnd(None, was_late, output)  # it waits for a disk
                 _signal_group(process, signals.pop())
             select.select([], [], [], _LOOK_EVERY)
         output = _read(pipe.fileno(), output)
         if was_late:
             _signal_group(process, signal.SIGKILL)  # what has not ended with it
-    return Ended(process.wait(), was_late, output)
+    return CommandEnd(process.wait(), was_late, output)
 
 
 def _read(pipe: int, output: bytes) -> bytes:

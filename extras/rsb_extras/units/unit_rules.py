@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.config.name_rules import name_problems
 from rsb_bridge.feature_api import Range, Wording, one_line, program_problem, program_warnings
-from rsb_extras.units import MAY_ASK, UNITS, Unit
+from rsb_extras.units import MAY_ASK, UNITS, ListedUnit
 from rsb_extras.units.unit_records import ACTIONS, MOST_UNITS, NAME
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ def problems(session: Session) -> Iterator[tuple[str, str]]:
                 yield f"{place}[{at}]", UnitRulesText.NO_UNIT(name=one_line(name))
 
 
-def _unit_problems(unit: Unit, place: str) -> Iterator[tuple[str, str]]:
+def _unit_problems(unit: ListedUnit, place: str) -> Iterator[tuple[str, str]]:
     if not any(getattr(unit, each) for each in (*ACTIONS, "status")):
         yield place, UnitRulesText.NO_ACTION()
     for key in _COMMANDS:

@@ -14,14 +14,14 @@ from weakref import WeakSet
 
 from rsb_bridge.feature_api import Level, RosError, Wording, in_thread, sanitize_text
 from rsb_extras.units import MAY_ASK, UNITS
-from rsb_extras.units.unit_process import Ended, run_words, state_of
+from rsb_extras.units.unit_process import CommandEnd, run_words, state_of
 from rsb_extras.units.unit_records import ACTIONS, MOST_UNITS, UnitOutcome, UnitRecord, UnitState, UnitText
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from rsb_bridge.feature_api import Context, Link, Route
-    from rsb_extras.units import Unit
+    from rsb_extras.units import ListedUnit
     from rsb_extras.units.unit_records import UnitAction
 
 EVERY = 5.0
@@ -64,7 +64,7 @@ class UnitProblem(Wording):
 
 
 class _Found(NamedTuple):
-    unit: Unit
+    unit: ListedUnit
     state: UnitState
     at: float
 
@@ -102,7 +102,7 @@ class UnitRunner:
         self._stop = threading.Event()
 
     @property
-    def _units(self) -> dict[str, Unit]:
+    def _units(self) -> dict[str, ListedUnit]:
         return UNITS.of(self._context.session)
 
     # --- states
@@ -117,7 +117,7 @@ class UnitRunner:
                     await asyncio.shield(self._looking)
         return tuple(self._record(name, unit, asker) for name, unit in self._units.items())[:MOST_UNITS]
 
-    def _record(self, name: str, unit: Unit, asker: Asker) -> UnitRecord:
+    def _record(self, name: str, unit: ListedUnit, asker: Asker) -> UnitRecord:
         found = self._found.get(name)
         known = found is not None and found.unit == unit
         return UnitRecord(
@@ -129,7 +129,7 @@ class UnitRunner:
             self._doing[1] if self._doing is not None and self._doing[0] == name else None,
         )
 
-    def _is_due(self, item: tuple[str, Unit]) -> bool:
+    def _is_due(self, item: tuple[str, ListedUnit]) -> bool:
         name, unit = item
         found = self._found.get(name)
         is_new = found is None or found.unit != unit or self._context.now() - found.at >= EVERY
@@ -142,7 +142,7 @@ class UnitRunner:
             if self._is_due((name, unit)) and not self._stop.is_set():
                 await self._find(name, unit)
 
-    async def _find(self, name: str, unit: Unit) -> UnitState:
+    async def _find(self, name: str, unit: ListedUnit) -> UnitState:
         state = state_of(await self._execute(unit.status, _STATUS_WITHIN))
         self._found[name] = _Found(unit, state, self._context.now())
         return state
@@ -183,7 +183,7 @@ class UnitRunner:
         # The robot's own operator knows what is driven there, and may have no other way to stop it.
         return "" if asker.link is None else self._armed(name, unit)
 
-    def _armed(self, name: str, unit: Unit) -> str:
+    def _armed(self, name: str, unit: ListedUnit) -> str:
         """Return what is armed and may be of a unit's nodes, in words, or an empty string."""
         for route in (each for link in self.links for each in link.routes.values()):
             if route.arming.held and (not unit.nodes or self._concerns(route, unit.nodes)):
@@ -205,7 +205,7 @@ class UnitRunner:
             return True
         return any(each.node in ("", *nodes) for each in found)
 
-    async def _carry_out(self, name: str, unit: Unit, action: UnitAction, asker: Asker) -> UnitOutcome:
+    async def _carry_out(self, name: str, unit: ListedUnit, action: UnitAction, asker: Asker) -> UnitOutcome:
         try:
             outcome = await self._outcome(name, unit, action)
         finally:
@@ -214,7 +214,7 @@ class UnitRunner:
         self._log(level, code, f"unit {name}: {action}: {UnitText.of(action, outcome)}", asker)
         return outcome
 
-    async def _outcome(self, name: str, unit: Unit, action: UnitAction) -> UnitOutcome:
+    async def _outcome(self, name: str, unit: ListedUnit, action: UnitAction) -> UnitOutcome:
         began = self._context.now()
         ended = await self._execute(getattr(unit, action), unit.timeout)
         state, reason = UnitState.UNKNOWN, self._failure(ended, action, unit)
@@ -224,10 +224,10 @@ class UnitRunner:
                 seconds = self._context.now() - began
                 reason = UnitProblem.NOT_REACHED(action=action, state=state, seconds=seconds)
         seconds = self._context.now() - began
-        log = await self._execute(unit.log, _LOG_WITHIN) if reason and unit.log else Ended()
+        log = await self._execute(unit.log, _LOG_WITHIN) if reason and unit.log else CommandEnd()
         return UnitOutcome(not reason, False, sanitize_text(reason), seconds, state, ended.lines, log.lines)
 
-    async def _reached(self, name: str, unit: Unit, action: UnitAction, deadline: float) -> UnitState:
+    async def _reached(self, name: str, unit: ListedUnit, action: UnitAction, deadline: float) -> UnitState:
         """Return the state after an action, once it is the right one, a failure, or the time is over."""
         while True:
             state = await self._find(name, unit)
@@ -236,7 +236,7 @@ class UnitRunner:
                 return state
             await asyncio.sleep(min(_POLL_EVERY, left))
 
-    def _failure(self, ended: Ended, action: UnitAction, unit: Unit) -> str:
+    def _failure(self, ended: CommandEnd, action: UnitAction, unit: ListedUnit) -> str:
         """Return why a command is not done, or an empty string."""
         if ended.problem:
             return ended.problem
@@ -249,7 +249,7 @@ class UnitRunner:
             return UnitProblem.CODE(action=action, code=code)
         return ""
 
-    async def _execute(self, words: Sequence[str], seconds: float) -> Ended:
+    async def _execute(self, words: Sequence[str], seconds: float) -> CommandEnd:
         return await in_thread("unit", partial(run_words, words, seconds, self._context.clock, self._stop), inf)
 
     def _log(self, level: Level, code: UnitCode, text: str, asker: Asker) -> None:

@@ -10,7 +10,7 @@ from tests.fuzz.parsers.control_messages import check_message
 from rsb_bridge.wire.codec import decode, encode
 from rsb_bridge.wire.protocol_error import ProtocolError
 from rsb_extras.units.link_units import AskUnits, RunUnit, UnitAnswer, UnitEnded
-from rsb_extras.units.unit_process import Ended
+from rsb_extras.units.unit_process import CommandEnd
 from rsb_extras.units.unit_records import ACTIONS, LINES, MOST_UNITS, NAME, UnitOutcome, UnitRecord, UnitState, UnitText
 
 _MESSAGES = (
@@ -45,7 +45,7 @@ def _read_message(data: bytes) -> None:
 
 def _read_output(data: bytes) -> None:
     """Whatever a command prints fits into a message."""
-    outcome = UnitOutcome(output=Ended(output=data).lines)
+    outcome = UnitOutcome(output=CommandEnd(output=data).lines)
     assert msgspec.msgpack.decode(msgspec.msgpack.encode(outcome), type=UnitOutcome) == outcome
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from rsb_bridge.feature import MAY
 from rsb_bridge.model.session import session_keys
-from rsb_extras.units import UNITS, Unit
+from rsb_extras.units import UNITS, ListedUnit
 
 SCRIPT = """\
 #!/bin/sh
@@ -56,7 +56,7 @@ class Supervised:
         script.write_text(SCRIPT)
         script.chmod(0o755)
         words = {each: (str(script), str(folder), each) for each in ("start", "stop", "restart", "status", "log")}
-        self.unit = Unit(**{**words, "timeout": 60.0, **changes})
+        self.unit = ListedUnit(**{**words, "timeout": 60.0, **changes})
 
     @property
     def ran(self) -> list[str]:

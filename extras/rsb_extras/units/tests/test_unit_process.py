@@ -14,18 +14,18 @@ from tests.support.waiting import eventually
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.text import is_clean
 from rsb_extras.units.tests.supervised import Supervised
-from rsb_extras.units.unit_process import OUTPUT, Ended, run_words, state_of
+from rsb_extras.units.unit_process import OUTPUT, CommandEnd, run_words, state_of
 from rsb_extras.units.unit_records import LINES, UnitState
 
 if TYPE_CHECKING:
     import pytest
 
 
-def run(*words: str, seconds: float = 60.0, stop: threading.Event | None = None) -> Ended:
+def run(*words: str, seconds: float = 60.0, stop: threading.Event | None = None) -> CommandEnd:
     return run_words(words, seconds, Clock(), stop or threading.Event())
 
 
-def python(program: str, *arguments: str, seconds: float = 60.0) -> Ended:
+def python(program: str, *arguments: str, seconds: float = 60.0) -> CommandEnd:
     return run(sys.executable, "-c", program, *arguments, seconds=seconds)
 
 
@@ -103,14 +103,14 @@ def test_one_that_cannot_begin_says_why() -> None:
 
 
 def test_states_are_those_of_exit_codes(tmp_path: Path) -> None:
-    codes = {code: state_of(Ended(code)) for code in (0, 1, 2, 3, 4, 127, -9, None)}
+    codes = {code: state_of(CommandEnd(code)) for code in (0, 1, 2, 3, 4, 127, -9, None)}
     assert codes == {
         0: UnitState.RUNNING, 1: UnitState.FAILED, 2: UnitState.FAILED, 3: UnitState.STOPPED, 4: UnitState.UNKNOWN,
         127: UnitState.UNKNOWN, -9: UnitState.UNKNOWN, None: UnitState.UNKNOWN,
     }  # fmt: skip
-    assert state_of(Ended(3, output=b"failed\n")) is UnitState.FAILED  # systemctl is-active
-    assert state_of(Ended(3, output=b"inactive\n")) is UnitState.STOPPED
-    assert state_of(Ended(0, was_late=True)) is UnitState.UNKNOWN
+    assert state_of(CommandEnd(3, output=b"failed\n")) is UnitState.FAILED  # systemctl is-active
+    assert state_of(CommandEnd(3, output=b"inactive\n")) is UnitState.STOPPED
+    assert state_of(CommandEnd(0, was_late=True)) is UnitState.UNKNOWN
     supervised = Supervised(tmp_path / "nav")
     assert state_of(run(*supervised.unit.status)) is UnitState.STOPPED
     assert run(*supervised.unit.start).code == 0

@@ -13,7 +13,7 @@ from rsb_bridge.config.session_changes import changes, with_client
 from rsb_bridge.config.session_file import SessionError, dump, load
 from rsb_bridge.config.validation import build, validate
 from rsb_bridge.model.session import Client
-from rsb_extras.units import FEATURE, MAY_ASK, UNITS, Unit
+from rsb_extras.units import FEATURE, MAY_ASK, UNITS, ListedUnit
 from rsb_extras.units.unit_records import MOST_UNITS
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ def test_units_are_read_from_a_file_and_written_again(tmp_path: Path) -> None:
     )
     session = load(path)
     restart = ("systemctl", "restart", "nav.service")
-    assert UNITS.of(session)["nav"] == Unit(restart=restart, nodes=("/planner_server",))
+    assert UNITS.of(session)["nav"] == ListedUnit(restart=restart, nodes=("/planner_server",))
     assert MAY_ASK.of(rights_of_server(session)) == ("nav",)
     again = tmp_path / "again.yaml"
     again.write_text(dump(session))
@@ -127,7 +127,7 @@ def test_check_says_what_may_be_run_and_warns(tmp_path: Path) -> None:
 
 
 def test_a_reload_does_not_show_commands() -> None:
-    units = {"nav": Unit(restart=("program", "--password=secret"))}
+    units = {"nav": ListedUnit(restart=("program", "--password=secret"))}
     changed = msgspec.structs.replace(SESSION, features={UNITS.name: units})
     assert changes(SESSION, changed) == ["units none → another list of commands"]
     assert changes(changed, SESSION) == ["units a list of commands → none"]
