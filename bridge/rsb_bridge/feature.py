@@ -30,24 +30,31 @@ BRINGS: Mapping[str, str] = {
     "bench": "bench",
     **dict.fromkeys(("diagnostics_topic", "driver_topic", "metrics", "on_fault"), "exporters"),
     "record": "recording",
+    "units": "units",
     "zenoh": "zenoh",
 }
 """Keys of session files, with the feature of this project that brings each, for messages where it is missing."""
+BRINGS_RIGHTS: Mapping[str, str] = {"units": "units"}
+"""The same of rights of a link's other side, the keys of `MAY`."""
 BRINGS_TRANSPORTS: Mapping[str, str] = {"zenoh": "zenoh", "zenoh-drop": "zenoh"}
 """The same of transports."""
 BRINGS_COMMANDS: Mapping[str, str] = {
     "audit": "audit", "bench": "bench", "demo": "demo", "doctor": "doctor", "fleet": "fleet", "import": "imports",
     "look": "pictures", "pub": "driving", "record": "recording", "report": "history", "service": "service",
+    "units": "units",
 }  # fmt: skip
 """The same of subcommands."""
 BRINGS_ACTIONS: Mapping[str, str] = {
     "demo": "demo", "drive": "driving", "history": "history", "import_session": "imports", "look": "pictures",
-    "publish": "driving", "record": "recording",
+    "publish": "driving", "record": "recording", "units": "units",
     **dict.fromkeys(("dismiss", "edit_marked", "mark", "open_robot"), "fleet"),
 }  # fmt: skip
 """The same of actions of the console, by their ids in ``keys.yaml``."""
 BRINGS_SETTINGS: Mapping[str, str] = {"commands": "own_commands", "layouts": "pictures"}
 """The same of settings in ``console.yaml``."""
+
+MAY = "may"
+"""The section of a session file, and of a client's entry on a server, that has the `PeerRight`s of features."""
 
 T = TypeVar("T")
 
@@ -94,6 +101,26 @@ class SessionKey(Generic[T]):
     def of(self, holder: Any) -> T:
         """Return the key's value in a session; that of a peer also in a client's entry, or a peer's rights."""
         value: T = holder.features.get(self.name, self.default)
+        return value
+
+
+@dataclass(frozen=True)
+class PeerRight(Generic[T]):
+    """A right that a session gives the other side of a link, a key of `MAY`; a reload changes it at once.
+
+    Attributes:
+        type: of its value, as of a `SessionKey`.
+        default: without the key, which gives nothing.
+    """
+
+    name: str
+    type: Any
+    default: T
+
+    def of(self, holder: Any) -> T:
+        """Return what a peer's rights (`link.end.rights`), a session or a client's entry give."""
+        given = holder.features.get(MAY)
+        value: T = self.default if given is None else getattr(given, self.name)
         return value
 
 
@@ -228,6 +255,10 @@ class Feature:
 
     def session_keys(self) -> Iterable[SessionKey[Any]]:
         """Return keys of session files."""
+        return ()
+
+    def rights(self) -> Iterable[PeerRight[Any]]:
+        """Return rights of a link's other side, which session files give in `MAY`."""
         return ()
 
     def topic_keys(self) -> Iterable[EntryKey[Any]]:

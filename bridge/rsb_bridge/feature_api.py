@@ -13,6 +13,7 @@ from rsb_bridge.feature import late_names
 if TYPE_CHECKING:
     from rsb_bridge.api import EngineApi, EngineError, Unable
     from rsb_bridge.config.files import make_folder, replace_file, typed_path, why_not_written
+    from rsb_bridge.config.programs import program_path, program_problem, program_warnings
     from rsb_bridge.config.rights import DeniedUse, Rights
     from rsb_bridge.config.session_file import SessionError, load
     from rsb_bridge.config.state_folder import state_folder
@@ -23,14 +24,14 @@ if TYPE_CHECKING:
     from rsb_bridge.engine import Engine
     from rsb_bridge.engine.bridge import Bridge
     from rsb_bridge.engine.part import EngineObserver, EnginePart, MovingPart
-    from rsb_bridge.feature import EntryKey, Feature, MachineReport, SessionKey, ShownField
+    from rsb_bridge.feature import EntryKey, Feature, MachineReport, PeerRight, SessionKey, ShownField
     from rsb_bridge.link.extension import Extension, LinkError, check_names
     from rsb_bridge.link.internal_routes import InternalRoutes
-    from rsb_bridge.link.link import Link
-    from rsb_bridge.link.questions import Questions
+    from rsb_bridge.link.link import Link, link_named
+    from rsb_bridge.link.questions import AskingExtension, Questions
     from rsb_bridge.model.clock import Clock
     from rsb_bridge.model.codes import EventCode
-    from rsb_bridge.model.commands import Command, Effect, Right
+    from rsb_bridge.model.commands import Command, Effect, Right, operator
     from rsb_bridge.model.finding import Check, Finding, Grade
     from rsb_bridge.model.limits import SAFE_DOMAIN, TEXT_LENGTH, Range
     from rsb_bridge.model.names import file_stem, other_side
@@ -49,6 +50,7 @@ if TYPE_CHECKING:
     from rsb_bridge.route.receiver import Receiver
     from rsb_bridge.route.route import Route
     from rsb_bridge.route.sender import Sender
+    from rsb_bridge.tasks import in_thread
     from rsb_bridge.telemetry.event_log import EventLog
     from rsb_bridge.transport.transport import Transport
     from rsb_bridge.wire.messages import ControlMessageBase
@@ -57,6 +59,7 @@ if TYPE_CHECKING:
 _NAMES = {
     "rsb_bridge.api": ("EngineApi", "EngineError", "Unable"),
     "rsb_bridge.config.files": ("make_folder", "replace_file", "typed_path", "why_not_written"),
+    "rsb_bridge.config.programs": ("program_path", "program_problem", "program_warnings"),
     "rsb_bridge.config.rights": ("DeniedUse", "Rights"),
     "rsb_bridge.config.session_file": ("SessionError", "load"),
     "rsb_bridge.config.state_folder": ("state_folder",),
@@ -67,14 +70,14 @@ _NAMES = {
     "rsb_bridge.engine": ("Engine",),
     "rsb_bridge.engine.bridge": ("Bridge",),
     "rsb_bridge.engine.part": ("EngineObserver", "EnginePart", "MovingPart"),
-    "rsb_bridge.feature": ("EntryKey", "Feature", "MachineReport", "SessionKey", "ShownField"),
+    "rsb_bridge.feature": ("EntryKey", "Feature", "MachineReport", "PeerRight", "SessionKey", "ShownField"),
     "rsb_bridge.link.extension": ("Extension", "LinkError", "check_names"),
     "rsb_bridge.link.internal_routes": ("InternalRoutes",),
-    "rsb_bridge.link.link": ("Link",),
-    "rsb_bridge.link.questions": ("Questions",),
+    "rsb_bridge.link.link": ("Link", "link_named"),
+    "rsb_bridge.link.questions": ("AskingExtension", "Questions"),
     "rsb_bridge.model.clock": ("Clock",),
     "rsb_bridge.model.codes": ("EventCode",),
-    "rsb_bridge.model.commands": ("Command", "Effect", "Right"),
+    "rsb_bridge.model.commands": ("Command", "Effect", "Right", "operator"),
     "rsb_bridge.model.finding": ("Check", "Finding", "Grade"),
     "rsb_bridge.model.limits": ("SAFE_DOMAIN", "TEXT_LENGTH", "Range"),
     "rsb_bridge.model.names": ("file_stem", "other_side"),
@@ -93,6 +96,7 @@ _NAMES = {
     "rsb_bridge.route.receiver": ("Receiver",),
     "rsb_bridge.route.route": ("Route",),
     "rsb_bridge.route.sender": ("Sender",),
+    "rsb_bridge.tasks": ("in_thread",),
     "rsb_bridge.telemetry.event_log": ("EventLog",),
     "rsb_bridge.transport.transport": ("Transport",),
     "rsb_bridge.wire.messages": ("ControlMessageBase",),

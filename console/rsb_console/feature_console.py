@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from rsb_console.command.target import (
         NoBridgeError,
         UsageError,
+        agreed,
         attached,
         chosen_route,
         done,
@@ -69,6 +70,7 @@ _NAMES = {
     "rsb_console.command.target": (
         "NoBridgeError",
         "UsageError",
+        "agreed",
         "attached",
         "chosen_route",
         "done",

@@ -9,15 +9,15 @@ import threading
 import time
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
-import msgspec
 from tests.support.frames import write_frame
 
 from rsb_bridge.model.qos import Qos
+from rsb_bridge.wire.codec import decoders
 from rsb_bridge.wire.connection import ClientConnection, DataConnection
 from rsb_bridge.wire.datagram import DatagramWriter, Probe
 from rsb_bridge.wire.events import Accepted, Established, MessageReceived, StreamName
 from rsb_bridge.wire.framing import CONTROL_LIMIT, MESSAGE_LIMIT, MORE, DataWriter
-from rsb_bridge.wire.messages import Accept, ControlMessage, ControlMessageBase, Describe, Hello, Propose, Ready, Refuse
+from rsb_bridge.wire.messages import Accept, ControlMessageBase, Describe, Hello, Propose, Ready, Refuse
 from rsb_bridge.wire.records import Source
 from rsb_bridge.wire.sealing import PROBE_ROUTE, CipherSuite
 
@@ -27,14 +27,13 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.sealing import ConnectionKeys
 
 T = TypeVar("T")
-_decoder: msgspec.msgpack.Decoder[ControlMessage] = msgspec.msgpack.Decoder(ControlMessage)
 BLOB = ("made_up_msgs/msg/Blob", "RIHS01_" + "5a" * 32)
 """A type that nobody has, and its hash."""
 
 
-def whole(content: bytes) -> ControlMessage:
-    """A control message with all its entries, however long."""
-    return _decoder.decode(content)
+def whole(content: bytes) -> ControlMessageBase:
+    """A control message, features' too, with all its entries, however long."""
+    return decoders()[0].decode(content)
 
 
 class Rogue:

@@ -181,6 +181,8 @@ def _entry_like(kind: Any, value: object) -> str:
 
 
 def _entry(value: object, kind: Any, problems: list[Problem], location: str) -> Any:
+    if get_origin(kind) is dict and issubclass(get_args(kind)[1], msgspec.Struct):
+        return _named(value, get_args(kind)[1], problems, location)
     structs = [each for each in _alternatives(kind) if isinstance(each, type) and issubclass(each, msgspec.Struct)]
     # Where a text may stand instead of a mapping, only a mapping is read as one.
     if structs and (structs[0] is kind or isinstance(value, Mapping)):
@@ -194,6 +196,17 @@ def _entry(value: object, kind: Any, problems: list[Problem], location: str) -> 
     except msgspec.ValidationError:
         problems.append(Problem(location, _misfit(value, kind)))
         return msgspec.UNSET
+
+
+def _named(value: object, model: type[msgspec.Struct], problems: list[Problem], location: str) -> Any:
+    """Return structs by the names that the operator has given them, each mistake with its place."""
+    if not isinstance(value, Mapping):
+        problems.append(Problem(location, _misfit(value, dict)))
+        return msgspec.UNSET
+    problems += [Problem(location, _misfit(name, str)) for name in value if not isinstance(name, str)]
+    return {
+        name: read(each, model, problems, join(location, name)) for name, each in value.items() if isinstance(name, str)
+    }
 
 
 def holds_key(value: object) -> bool:

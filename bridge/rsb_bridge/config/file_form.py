@@ -12,7 +12,17 @@ import msgspec
 from msgspec.structs import FieldInfo, fields
 
 from rsb_bridge.feature import BRINGS, SessionKey
-from rsb_bridge.model.session import Client, Direction, Kind, Provider, Session, Topic, peer_keys, session_keys
+from rsb_bridge.model.session import (
+    AbsentFeature,
+    Client,
+    Direction,
+    Kind,
+    Provider,
+    Session,
+    Topic,
+    peer_keys,
+    session_keys,
+)
 from rsb_bridge.model.topic_keys import ADDED_KEYS, TOPIC_KEYS, ForeignKey, type_of, without_defaults
 
 if TYPE_CHECKING:
@@ -129,7 +139,7 @@ def _holder(model: type[msgspec.Struct], **others: Any) -> type[msgspec.Struct]:
             own += [(key.name, key.type, key.default) for key in _KEYS_OF[model].values()]
         else:
             own.append(_field(field.name, others.get(field.name, field.type), field))
-    absent = {key: ForeignKey.OF_FEATURE(feature=name) for key, name in BRINGS.items() if key not in _FEATURE_KEYS}
+    absent = {key: AbsentFeature.KEY(feature=name) for key, name in BRINGS.items() if key not in _FEATURE_KEYS}
     return _struct(model.__name__, own, absent)
 
 

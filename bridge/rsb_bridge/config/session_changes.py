@@ -74,7 +74,7 @@ def changes(
         key = session_keys().get(name)
         if key is not None and key.hidden_as:
             was, becomes = (f"{word} {key.hidden_as}" for word in ("a", "another"))
-            was, becomes = "none" if before is None else was, "none" if after is None else becomes
+            was, becomes = was if before else "none", becomes if after else "none"
         else:
             was, becomes = _value(before), _value(after)
         found.append(f"{name} {was} → {becomes}")

@@ -146,6 +146,9 @@ class Bridge:
         self._errors_logged: dict[str, float] = {}
         self._faults_told = 0
 
+    def links(self) -> list[Link]:
+        return self.role.links()
+
     def find(self, key: str) -> tuple[Link, Route]:
         """Return a route and its link by the route's key.
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import msgspec
 
+from rsb_bridge.feature import BRINGS_RIGHTS, MAY, SessionKey
 from rsb_bridge.installed_features import added
 from rsb_bridge.model.by_hand import VelocityLimits, end_text
 from rsb_bridge.model.keep import Keep
@@ -21,11 +22,10 @@ from rsb_bridge.model.qos import Qos, parse_qos
 from rsb_bridge.model.text import one_line
 from rsb_bridge.model.transport_traits import Compression, is_mac
 from rsb_bridge.model.transports import ProfileName, Protocol, of_link
+from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-
-    from rsb_bridge.feature import SessionKey
 
 Priority = Literal["low", "normal", "high"]
 
@@ -372,12 +372,29 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
         return self.host if self.is_bluetooth else self.bluetooth_address
 
 
+class AbsentFeature(Wording):
+    KEY = "this installation has no {feature}: install all of rsb-console, or leave the key out"
+
+
 @cache
 def session_keys() -> Mapping[str, SessionKey[Any]]:
     """Return the features' keys of session files, by name."""
     lists = ("services", "actions", "parameters")  # in its file, where `topics` holds all
-    taken = (*Session.__struct_fields__, *Client.__struct_fields__, *lists)
-    return {key.name: key for key in added("session_keys", name_of=lambda key: key.name, taken=taken)}
+    taken = (*Session.__struct_fields__, *Client.__struct_fields__, *lists, MAY)
+    found = (*added("session_keys", name_of=lambda key: key.name, taken=taken), _may())
+    return {key.name: key for key in found}
+
+
+def _may() -> SessionKey[Any]:
+    """Return the key of all rights that features bring."""
+    rights = added("rights", name_of=lambda right: right.name)
+    known = {right.name for right in rights}
+    absent = {name: AbsentFeature.KEY(feature=of) for name, of in BRINGS_RIGHTS.items() if name not in known}
+    given = msgspec.defstruct(
+        "May", [(right.name, right.type, right.default) for right in rights],
+        frozen=True, forbid_unknown_fields=True, omit_defaults=True, namespace={"hints": absent},
+    )  # fmt: skip
+    return SessionKey(MAY, given, given(), live=True, of_peer=True)
 
 
 @cache

@@ -55,7 +55,6 @@ class ForeignKey(Wording):
     LIST_UNDER = "list this entry under {list}, or write {key}: /..."
     OTHER_REMOTE = "write {key}"
     TYPE_OF_PARAMETERS = "parameters have types of ROS's own: leave it out"
-    OF_FEATURE = "this installation has no {feature}: install all of rsb-console, or leave the key out"
 
 
 class RangeText(Wording):

@@ -23,9 +23,9 @@ from rsb_bridge.feature_api import (
     Reason,
     RouteId,
     Seconds,
+    link_named,
     sanitize_text,
 )
-from rsb_bridge.link.link import link_named
 from rsb_bridge.wire.records import Hertz
 from rsb_extras.bench import LIMITS
 from rsb_extras.bench.bench_ends import BenchArrivals, BenchDrain, BenchSource, Time, resources

@@ -12,14 +12,22 @@ from collections import deque
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from rsb_bridge.feature_api import TEXT_LENGTH, EnginePart, Level, LinkSnapshot, sanitize_text
+from rsb_bridge.feature_api import (
+    TEXT_LENGTH,
+    EnginePart,
+    Level,
+    LinkSnapshot,
+    program_path,
+    program_problem,
+    sanitize_text,
+)
 from rsb_bridge.model.faults import ChangeKind, FaultChange, FaultWatch
 from rsb_bridge.model.limits import REASON_LENGTH
 from rsb_bridge.model.snapshot import PatternSnapshot
 from rsb_bridge.model.text import encodable
 from rsb_extras.exporters import ON_FAULT
 from rsb_extras.exporters.exporter_codes import ExporterCode
-from rsb_extras.exporters.fault_command import command_words, program_path, program_problem
+from rsb_extras.exporters.fault_command import command_words
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence

@@ -15,13 +15,14 @@ import msgspec
 
 from rsb_bridge.feature_api import Clock, RobotState, plural, running_bridges
 from rsb_bridge.model.calls import FIELDS_LENGTH
-from rsb_console.command.target import agreed, chosen_bridge
+from rsb_console.command.target import chosen_bridge
 from rsb_console.feature_console import (
     FAILURE,
     OK,
     USAGE,
     NoBridgeError,
     UsageError,
+    agreed,
     json_line,
     print_error,
     print_line,

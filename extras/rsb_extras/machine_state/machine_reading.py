@@ -10,8 +10,7 @@ from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from rsb_bridge.feature_api import sanitize_text
-from rsb_bridge.tasks import in_thread
+from rsb_bridge.feature_api import in_thread, sanitize_text
 from rsb_extras.machine_state.machine_figures import MEGABYTE, PATH_LENGTH, MachineState
 
 if TYPE_CHECKING:

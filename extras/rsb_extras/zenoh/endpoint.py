@@ -21,8 +21,7 @@ from functools import partial
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 from urllib.parse import quote, unquote
 
-from rsb_bridge.feature_api import Wording, sanitize_text
-from rsb_bridge.tasks import in_thread
+from rsb_bridge.feature_api import Wording, in_thread, sanitize_text
 from rsb_bridge.wire.framing import STRANGER_LIMIT
 from rsb_extras.zenoh.outbox import HEADER_LENGTHS, Header, SampleKind, SampleOutbox
 

@@ -14,10 +14,9 @@ import threading
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from rsb_bridge.feature_api import Wording
+from rsb_bridge.feature_api import Wording, in_thread
 from rsb_bridge.model.budgets import Strangers
 from rsb_bridge.python_internals.threading_internals import before_waiting_for_threads
-from rsb_bridge.tasks import in_thread
 from rsb_extras.zenoh import HOW_TO_INSTALL
 from rsb_extras.zenoh.endpoint import ROUTER_LOST, ZenohEndpoint
 from rsb_extras.zenoh.unreachable import TLS, UNABLE, Unreachable, endpoints_of, first_sentence, reach, why_unreachable

@@ -10,10 +10,11 @@ import pytest
 from tests.config.mistakes import problems
 from tests.console.scripted import SESSION
 
+from rsb_bridge.config.programs import program_path, program_problem
 from rsb_bridge.config.session_changes import changes
 from rsb_bridge.config.session_file import dump, load, save, validate
 from rsb_extras.exporters import FEATURE, ON_FAULT
-from rsb_extras.exporters.fault_command import command_words, program_path, program_problem
+from rsb_extras.exporters.fault_command import command_words
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,70 @@
+"""The screen of units: its list, a question for each action, and the result."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from tests.console.driving import NARROW, engine_of, gone, notified, on_main, shown, text
+
+from rsb_extras.units.units_screen import UnitsScreenText
+
+if TYPE_CHECKING:
+    from textual.pilot import Pilot
+
+    from rsb_console.app import ConsoleApp
+
+
+def told(app: ConsoleApp) -> list[tuple[object, ...]]:
+    return [command for command in engine_of(app).commands if command[0] == "control unit"]
+
+
+async def opened(pilot: Pilot[None], *down: str) -> None:
+    await pilot.press("U")
+    await shown(pilot, "may not be asked for")
+    await pilot.press(*down)
+
+
+@on_main(NARROW)
+async def test_units_of_both_sides_are_shown(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await opened(pilot)
+    lines = [" ".join(line.strip(" │▌").split()) for line in text(app).splitlines()]
+    assert "camera this side running 1.2s restart" in lines
+    assert "lidar the server failed 3.0s may not be asked for" in lines
+    assert "nav the server stopped 2.0s start stop restart" in lines
+    await pilot.press("escape")
+    await gone(pilot, "may not be asked for")
+
+
+@on_main(NARROW)
+async def test_an_action_is_asked_and_its_result_stays(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await opened(pilot, "j", "j", "x")
+    await shown(pilot, "Restart unit nav of the server?")
+    await pilot.press("n")
+    await gone(pilot, "Restart unit nav of the server?")
+    assert told(app) == []
+    await pilot.press("x")
+    await shown(pilot, "Restart unit nav of the server?")
+    await pilot.press("y")
+    await shown(pilot, "unit nav of the server: it came back in 4.2 s")
+    assert told(app) == [("control unit", "nav", "restart", "robot1")]
+    await pilot.press("k")
+    await gone(pilot, "it came back in 4.2 s")
+    await pilot.press("x")
+    await shown(pilot, "Restart unit lidar of the server?")
+    await pilot.press("y")
+    await shown(pilot, "unit lidar of the server: restart ended with exit code 7")
+    assert "cannot open /dev/lidar" in text(app)
+
+
+@on_main(NARROW)
+async def test_an_action_that_a_unit_lacks_is_named(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await opened(pilot, "S")
+    await notified(pilot, UnitsScreenText.NO_ACTION, name="camera", action="stop", actions="restart")
+    assert told(app) == []
+
+
+@on_main(NARROW, readonly=True)
+async def test_a_read_only_console_only_looks(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await opened(pilot, "x")
+    await notified(pilot, UnitsScreenText.READ_ONLY)
+    assert told(app) == []

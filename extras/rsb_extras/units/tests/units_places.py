@@ -1,0 +1,7 @@
+"""Names of units that tests read or replace (`tests.support.places`)."""
+
+from __future__ import annotations
+
+from tests.support.places import Place
+
+TICKET_LIFE = Place("rsb_extras.units.link_units", "TICKET_LIFE")

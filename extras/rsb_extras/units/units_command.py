@@ -1,0 +1,142 @@
+"""The command ``units``: lists units, and has one started, stopped or restarted."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from msgspec.structs import asdict
+
+from rsb_bridge.feature_api import EngineError, Wording, other_side
+from rsb_console.feature_console import (
+    FAILURE,
+    OK,
+    UsageError,
+    agreed,
+    attached,
+    done,
+    json_line,
+    print_error,
+    print_line,
+    result,
+)
+from rsb_console.notation import formats
+from rsb_extras.units.unit_records import UnitText
+from rsb_extras.units.unit_requests import LONGEST, ControlUnit, ListUnits
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+    from collections.abc import Iterator, Sequence
+
+    from rsb_bridge.feature_api import RemoteEngine
+    from rsb_extras.units.unit_records import UnitOutcome, UnitRecord
+    from rsb_extras.units.unit_requests import UnitGroup
+
+_NOTHING = "-"
+
+
+class UnitsCommandText(Wording):
+    NAME_MISSING = "units {action}: name the unit"
+    UNKNOWN = "there is no unit {name}{problems}; there are: {known}"
+    SEVERAL = "{count} sides have a unit {name}; choose one: {options}"
+    NONE = "neither side lists units in its session file"
+    ASK = "{action} unit {name} of {side}?"
+    ENDED = "unit {name} of {side}: {text}"
+    PROBLEM = "{side}: {problem}"
+
+
+def side_of(role: str, link: str) -> str:
+    """Return a side in words: this one if the link is empty."""
+    return other_side(role, link) if link else "this side"
+
+
+def state_text(unit: UnitRecord) -> str:
+    return f"{unit.doing} under way" if unit.doing else unit.state
+
+
+def age_text(unit: UnitRecord) -> str:
+    return _NOTHING if unit.age is None else formats.age(unit.age)
+
+
+def actions_text(unit: UnitRecord) -> str:
+    """Return the actions that may be asked for, in words."""
+    if not unit.actions:
+        return _NOTHING
+    return " ".join(unit.actions) if unit.allowed else "may not be asked for"
+
+
+def units(arguments: Namespace) -> int:
+    if arguments.action and arguments.unit is None:
+        raise UsageError(UnitsCommandText.NAME_MISSING(action=arguments.action))
+    with attached(arguments) as engine:
+        groups = result(engine.do(ListUnits(arguments.link)))
+        if not arguments.action:
+            return _list(engine, arguments, groups)
+        return _control(engine, arguments, _chosen(arguments, groups))
+
+
+def _list(engine: RemoteEngine, arguments: Namespace, groups: Sequence[UnitGroup]) -> int:
+    role = engine.bridge.role
+    problems = [group for group in groups if group.problem]
+    if arguments.link and problems:
+        raise EngineError(problems[0].problem)
+    if arguments.json:
+        listed = [{"link": group.link} | asdict(unit) for group in groups for unit in group.units]
+        return done(arguments, units=listed, problems={group.link: group.problem for group in problems})
+    for line in _lines(role, groups):
+        print_line(line)
+    for group in problems:
+        print_error(UnitsCommandText.PROBLEM(side=side_of(role, group.link), problem=group.problem))
+    return OK
+
+
+def _lines(role: str, groups: Sequence[UnitGroup]) -> Iterator[str]:
+    rows = [
+        (unit.name, side_of(role, group.link), state_text(unit), age_text(unit), actions_text(unit))
+        for group in groups
+        for unit in group.units
+    ]
+    if not rows:
+        yield UnitsCommandText.NONE()
+        return
+    rows.insert(0, ("UNIT", "SIDE", "STATE", "AGE", "ACTIONS"))
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        yield "  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True)).rstrip()
+
+
+def _chosen(arguments: Namespace, groups: Sequence[UnitGroup]) -> str:
+    """Return the link whose other side has the unit, or an empty string for this side."""
+    sides = [group for group in groups if not (arguments.here and group.link)]
+    found = [group.link for group in sides for unit in group.units if unit.name == arguments.unit]
+    if len(found) > 1:
+        options = "; ".join(f"--link {link}" if link else "--here" for link in found)
+        raise UsageError(UnitsCommandText.SEVERAL(count=len(found), name=arguments.unit, options=options))
+    if not found:
+        known = ", ".join(sorted({unit.name for group in sides for unit in group.units})) or "none"
+        problems = "".join(f" ({group.link}: {group.problem})" for group in sides if group.problem)
+        raise UsageError(UnitsCommandText.UNKNOWN(name=arguments.unit, problems=problems, known=known))
+    return found[0]
+
+
+def _control(engine: RemoteEngine, arguments: Namespace, link: str) -> int:
+    name, action, side = arguments.unit, arguments.action, side_of(engine.bridge.role, link)
+    question = UnitsCommandText.ASK(action=action.capitalize(), name=name, side=side)
+    if not (arguments.yes or agreed(question, ask=not arguments.json)):
+        return FAILURE
+    outcome = engine.do(ControlUnit(name, action, link)).result(LONGEST)
+    if arguments.json:
+        found = asdict(outcome) | {"unit": name, "link": link}
+        ok, error = found.pop("done"), found.pop("reason")
+        print_line(json_line({"ok": ok} | ({} if ok else {"error": error}) | found))
+    else:
+        _tell(UnitsCommandText.ENDED(name=name, side=side, text=UnitText.of(action, outcome)), outcome)
+    return OK if outcome.done else FAILURE
+
+
+def _tell(text: str, outcome: UnitOutcome) -> None:
+    if outcome.done:
+        print_line(text)
+        return
+    for line in (*outcome.output, *outcome.log):
+        print_line(line)
+    print_error(text)

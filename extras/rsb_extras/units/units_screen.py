@@ -1,0 +1,224 @@
+"""The units of both sides on a screen, with a key for each action."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
+
+from rich.cells import cell_len
+from textual.binding import Binding
+from textual.screen import ModalScreen
+
+from rsb_bridge.feature_api import Effect, EngineError, Wording
+from rsb_console.feature_console import (
+    DIALOG,
+    DONE,
+    FAILED,
+    ConfirmScreen,
+    Dialog,
+    FixedLines,
+    ScrolledLines,
+    SelectableList,
+    fit,
+)
+from rsb_extras.units.unit_records import UnitText
+from rsb_extras.units.unit_requests import ControlUnit, ListUnits
+from rsb_extras.units.units_command import UnitsCommandText, actions_text, age_text, side_of, state_text
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from textual.app import ComposeResult
+
+    from rsb_bridge.feature_api import EngineApi
+    from rsb_console.feature_console import Console, Line, MainScreen
+    from rsb_extras.units.unit_records import UnitAction, UnitOutcome, UnitRecord
+    from rsb_extras.units.unit_requests import UnitGroup
+
+_RENEWED_EVERY = 2.0  # s; a round figure: a bridge looks for states each 5 s at most
+_MOST_LINKS = 8
+"""Links of a server that are asked each time; with more, only that of the topic under the cursor. A round figure."""
+_HEADINGS = "UNIT", "SIDE", "STATE", "AGE", "ACTIONS"
+_LOOKS = {"running": "ok", "stopped": "waiting", "failed": "down", "unknown": "unknown"}
+HELP = "x restart   s start   S stop   esc close"
+
+
+class UnitsScreenText(Wording):
+    ASKING = "asking both sides"
+    READ_ONLY = "this console is read-only"
+    NO_ACTION = "unit {name} has no {action}: it has {actions}"
+    MEANS = "Its nodes end, and what they do with them. What they move has to be safe without them."
+    UNDER_WAY = "{action} under way"
+
+
+class UnitRow(NamedTuple):
+    """A unit with the link to its side, or an empty text for this side."""
+
+    link: str
+    side: str
+    unit: UnitRecord
+
+    @property
+    def key(self) -> str:
+        return f"{self.link}/{self.unit.name}"
+
+    @property
+    def cells(self) -> tuple[str, ...]:
+        return self.unit.name, self.side, state_text(self.unit), age_text(self.unit), actions_text(self.unit)
+
+
+class UnitsTable(SelectableList):
+    sticky = 1
+
+    def __init__(self) -> None:
+        super().__init__(id="units")
+        self._rows: dict[str, UnitRow] = {}
+        self._widths: list[int] = [*map(len, _HEADINGS)]
+
+    def show(self, rows: Sequence[UnitRow]) -> None:
+        self._rows = {row.key: row for row in rows}
+        columns = zip(_HEADINGS, *(row.cells for row in rows), strict=True)
+        self._widths = [max(map(cell_len, column)) for column in columns]
+        self.show_keys(list(self._rows))
+
+    @property
+    def selected(self) -> UnitRow | None:
+        return None if self.cursor_key is None else self._rows.get(self.cursor_key)
+
+    def line(self, index: int) -> Line:
+        if index < self.sticky:
+            return fit(((" ", ""), *self._cells(_HEADINGS, ("head",) * len(_HEADINGS))), self.width)
+        row = self._rows[self.keys[index - self.sticky]]
+        looks = "strong", "", _LOOKS[row.unit.state], "dim", ""
+        mark = ("▌" if self.is_cursor(index) else " ", "key")
+        return fit((mark, *self._cells(row.cells, looks)), self.width)
+
+    def _cells(self, texts: Sequence[str], looks: Sequence[str]) -> Iterator[tuple[str, str]]:
+        for text, look, width in zip(texts, looks, self._widths, strict=True):
+            yield f"{text:<{width}}  ", look
+
+
+class UnitsScreen(ModalScreen[None]):
+    """The units of this side and of its links, and how the last action on each has ended."""
+
+    BINDINGS: ClassVar = [
+        Binding("escape,q", "dismiss", show=False),
+        Binding("x", "control('restart')", show=False),
+        Binding("s", "control('start')", show=False),
+        Binding("S", "control('stop')", show=False),
+    ]
+    AUTO_FOCUS = "#units"
+    DEFAULT_CSS = """
+    #units-problems { height: auto; background: $surface; }
+    #units { height: 1fr; margin: 1 0; background: $surface; }
+    #units-outcome { height: 1fr; background: $surface; }
+    """
+
+    def __init__(self, console: Console, link: str) -> None:
+        super().__init__()
+        self.console = console
+        self._link = link
+        self.table, self.problems = UnitsTable(), FixedLines(id="units-problems")
+        self.outcome = ScrolledLines(id="units-outcome")
+        self._ended: dict[str, tuple[UnitAction, UnitOutcome | None]] = {}
+        """The last action on each unit, and how it has ended, or None while it is under way."""
+
+    def compose(self) -> ComposeResult:
+        yield Dialog("Units", self.problems, self.table, self.outcome, keys=HELP, shape="-high")
+
+    def on_mount(self) -> None:
+        self.problems.put([((UnitsScreenText.ASKING(), "dim"),)])
+        self.set_interval(_RENEWED_EVERY, self.renew)
+        self._fetching = self.run_worker(self._fetch(), group="units")
+
+    def renew(self) -> None:
+        """Ask again, unless an answer is still due, perhaps over a thin line."""
+        if self._fetching.is_finished:
+            self._fetching = self.run_worker(self._fetch(), group="units")
+
+    async def _fetch(self) -> None:
+        engine = self.console.engine
+        if engine is None:
+            self.problems.put([(("no session runs", "down"),)])
+            return
+        try:
+            groups = await asyncio.wrap_future(engine.do(ListUnits(self._link)))
+        except EngineError as error:
+            self.problems.put([((str(error), "down"),)])
+        else:
+            self.show(groups)
+
+    def show(self, groups: Sequence[UnitGroup]) -> None:
+        role = self.console.snapshot().role
+        sides = [(group, side_of(role, group.link)) for group in groups]
+        self.table.show([UnitRow(group.link, side, unit) for group, side in sides for unit in group.units])
+        problems = [
+            ((UnitsCommandText.PROBLEM(side=side, problem=group.problem), "down"),)
+            for group, side in sides
+            if group.problem
+        ]
+        if not problems and self.table.selected is None:
+            problems = [((UnitsCommandText.NONE(), "dim"),)]
+        self.problems.put(problems)
+        self._show_outcome()
+
+    def _show_outcome(self) -> None:
+        row = self.table.selected
+        self.outcome.show([] if row is None or row.key not in self._ended else _lines(row, *self._ended[row.key]))
+
+    def on_selectable_list_cursor_moved(self) -> None:
+        self._show_outcome()
+
+    def action_control(self, action: UnitAction) -> None:
+        row = self.table.selected
+        if row is None or not self.table.is_seen():
+            return
+        if self.console.readonly:
+            self._warn(UnitsScreenText.READ_ONLY())
+        elif action not in row.unit.actions:
+            actions = ", ".join(row.unit.actions) or "none"
+            self._warn(UnitsScreenText.NO_ACTION(name=row.unit.name, action=action, actions=actions))
+        else:
+            self.run_worker(self._ask(row, action), group=DIALOG)
+
+    async def _ask(self, row: UnitRow, action: UnitAction) -> None:
+        title = UnitsCommandText.ASK(action=action.capitalize(), name=row.unit.name, side=row.side)
+        question = ConfirmScreen(title, UnitsScreenText.MEANS(), action.capitalize(), Effect.MOVES | Effect.LOSES)
+        if await self.console.ask(question) is True and (engine := self.console.engine) is not None:
+            # Not in this worker: keys wait for one that may open a dialog.
+            self.run_worker(self._control(engine, row, action), group="unit-actions")
+
+    async def _control(self, engine: EngineApi, row: UnitRow, action: UnitAction) -> None:
+        self._ended[row.key] = action, None
+        self._show_outcome()
+        try:
+            outcome = await asyncio.wrap_future(engine.do(ControlUnit(row.unit.name, action, row.link)))
+        except EngineError as error:
+            del self._ended[row.key]
+            self._warn(str(error))
+        else:
+            self._ended[row.key] = action, outcome
+        self._show_outcome()
+        self.renew()
+
+    def _warn(self, text: str) -> None:
+        self.console.notify(text, severity="warning", markup=False, timeout=8)
+
+
+def _lines(row: UnitRow, action: UnitAction, outcome: UnitOutcome | None) -> Iterator[Line]:
+    def ended(text: str) -> str:
+        return UnitsCommandText.ENDED(name=row.unit.name, side=row.side, text=text)
+
+    if outcome is None:
+        yield ((ended(UnitsScreenText.UNDER_WAY(action=action)), "waiting"),)
+        return
+    sign, look = (DONE, "ok") if outcome.done else (FAILED, "down")
+    yield ((f"{sign} {ended(UnitText.of(action, outcome))}", look),)
+    for line in () if outcome.done else (*outcome.output, *outcome.log):
+        yield ((line, ""),)
+
+
+async def show_units(screen: MainScreen) -> None:
+    console, row = screen.console, screen.topics.selected
+    many = len(console.snapshot().links) > _MOST_LINKS
+    await console.ask(UnitsScreen(console, row.link if many and row is not None else ""))
