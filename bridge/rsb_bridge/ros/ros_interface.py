@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 from rsb_bridge.model.wording import Wording
@@ -139,6 +139,15 @@ class Endpoint(NamedTuple):
     def has_key(self) -> bool:
         """Whether its type has a key. Neither the type's hash nor its description tells."""
         return has_key(self.gid)
+
+
+class NodeEnds(NamedTuple):
+    """The names that a node uses, each with its types."""
+
+    publishes: Mapping[str, Sequence[str]] = {}
+    hears: Mapping[str, Sequence[str]] = {}
+    serves: Mapping[str, Sequence[str]] = {}
+    calls: Mapping[str, Sequence[str]] = {}
 
 
 class LostPort(NamedTuple):
@@ -373,6 +382,12 @@ class RosInterface(RouteEnds, Protocol):
 
     def stop(self) -> None:
         """Close every endpoint, leave the domain, end the thread. May be called twice."""
+
+    def nodes(self) -> list[str]:
+        """Return the full name of every node but our own, once for each node of a name that several have."""
+
+    def ends_of(self, node: str) -> NodeEnds:
+        """Return what a node uses, by its full name: nothing once it has gone."""
 
     def topics(self) -> dict[str, list[str]]:
         """Return every topic of the graph with its type names; topics that only our own node holds are left out."""
