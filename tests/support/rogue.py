@@ -9,15 +9,15 @@ import threading
 import time
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
-import msgspec
 from tests.support.frames import write_frame
 
 from rsb_bridge.model.qos import Qos
+from rsb_bridge.wire.codec import decoders
 from rsb_bridge.wire.connection import ClientConnection, DataConnection
 from rsb_bridge.wire.datagram import DatagramWriter, Probe
 from rsb_bridge.wire.events import Accepted, Established, MessageReceived, StreamName
 from rsb_bridge.wire.framing import CONTROL_LIMIT, MESSAGE_LIMIT, MORE, DataWriter
-from rsb_bridge.wire.messages import Accept, ControlMessage, ControlMessageBase, Describe, Hello, Propose, Ready, Refuse
+from rsb_bridge.wire.messages import Accept, ControlMessageBase, Describe, Hello, Propose, Ready, Refuse
 from rsb_bridge.wire.records import Source
 from rsb_bridge.wire.sealing import PROBE_ROUTE, CipherSuite
 
@@ -27,14 +27,13 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.sealing import ConnectionKeys
 
 T = TypeVar("T")
-_decoder: msgspec.msgpack.Decoder[ControlMessage] = msgspec.msgpack.Decoder(ControlMessage)
 BLOB = ("made_up_msgs/msg/Blob", "RIHS01_" + "5a" * 32)
 """A type that nobody has, and its hash."""
 
 
-def whole(content: bytes) -> ControlMessage:
+def whole(content: bytes) -> ControlMessageBase:
     """A control message with all its entries, however long."""
-    return _decoder.decode(content)
+    return decoders()[0].decode(content)
 
 
 class Rogue:
@@ -47,11 +46,20 @@ class Rogue:
     """
 
     def __init__(
-        self, port: int, key: bytes | None, name: str = "robot1", *, host: str = "127.0.0.1", timeout: float = 60.0
+        self,
+        port: int,
+        key: bytes | None,
+        name: str = "robot1",
+        *,
+        host: str = "127.0.0.1",
+        timeout: float = 60.0,
+        features: tuple[str, ...] = (),
     ) -> None:
         self._address = (host, port)
         self._timeout = timeout
-        self._connection = ClientConnection(Hello("0.1.0", name, "rogue", 0), key, CipherSuite.AESGCM)
+        self._connection = ClientConnection(
+            Hello("0.1.0", name, "rogue", 0, features=features), key, CipherSuite.AESGCM
+        )
         self._control = socket.create_connection(self._address, timeout=timeout)
         self._control.sendall(self._connection.start())
         self._saying = threading.Lock()
