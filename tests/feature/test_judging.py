@@ -133,7 +133,8 @@ def _know(client: Any, opinion: _Opinion, knows: Callable[[Verdict], Any]) -> No
 
 def test_explanation_adds_to_the_cores_text_on_both_sides(watched: tuple[Any, Any, _Opinion]) -> None:
     server, client, opinion = watched
-    before = eventually(lambda: (found := route(client, "/scan")).cause == "no_publisher" and found, what="its cause")
+    eventually(lambda: cause(client) == "no_publisher", what="its cause")
+    state = route(client, "/scan").state
     _know(
         client,
         opinion,
@@ -141,7 +142,7 @@ def test_explanation_adds_to_the_cores_text_on_both_sides(watched: tuple[Any, An
     )
     for engine in (client, server):
         eventually(lambda engine=engine: route(engine, "/scan").reason.endswith(": the mast fell"), what="the text")
-        assert (route(engine, "/scan").state, cause(engine)) == (before.state, "no_publisher")
+        assert (route(engine, "/scan").state, cause(engine)) == (state, "no_publisher")
 
 
 def test_failing_explanation_is_left_out_with_a_line(watched: tuple[Any, Any, _Opinion]) -> None:

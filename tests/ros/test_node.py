@@ -110,8 +110,8 @@ def test_nodes_and_what_they_use(open_node: Callable[..., RosNode], rclpy_node: 
     ours, other = open_node(), open_node()
     other.advertise(strings("/theirs"), "link")
     rclpy_node.create_subscription(String, "/heard", print, 10)
-    eventually(lambda: {"/stock", f"/{other.node_name}"} <= set(ours.nodes()), what="both")
-    assert f"/{ours.node_name}" not in ours.nodes()
+    eventually(lambda: {"/stock", f"/{other.node_name}"} <= set(ours.node_names()), what="both")
+    assert f"/{ours.node_name}" not in ours.node_names()
     published = eventually(lambda: ours.ends_of(f"/{other.node_name}").publishes, what="its topic")
     assert published == {"/theirs": [STRING]}
     stock = eventually(lambda: found if "/heard" in (found := ours.ends_of("/stock")).hears else None, what="heard")

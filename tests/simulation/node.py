@@ -94,7 +94,7 @@ class Node:
     def _ends(self) -> list[Writer | Reader | Server | Client]:
         return [*self.writers, *self.readers, *self.servers_of_ours, *self.clients_of_ours]
 
-    def nodes(self) -> list[str]:
+    def node_names(self) -> list[str]:
         return []
 
     def ends_of(self, node: str) -> NodeEnds:

@@ -11,7 +11,7 @@ from tests.support.rogue import whole
 from rsb_bridge.wire.connection import ServerConnection
 from rsb_bridge.wire.events import Established, MessageReceived
 from rsb_bridge.wire.framing import CONTROL_LIMIT
-from rsb_bridge.wire.messages import ControlMessage, Hello, Welcome
+from rsb_bridge.wire.messages import ControlMessageBase, Hello, Welcome
 from rsb_bridge.wire.sealed_stream import Credential, ReplayCache
 
 
@@ -25,7 +25,7 @@ class RogueServer:
         self._listener.settimeout(timeout)
         self._connection = self._new_connection()
         self._control: socket.socket | None = None
-        self.heard: list[ControlMessage] = []
+        self.heard: list[ControlMessageBase] = []
 
     def _new_connection(self) -> ServerConnection:
         replays = ReplayCache()
@@ -42,7 +42,7 @@ class RogueServer:
         while not any(isinstance(event, Established) for event in self._read()):
             pass
 
-    def say(self, *messages: ControlMessage) -> None:
+    def say(self, *messages: ControlMessageBase) -> None:
         assert self._control is not None
         self._control.sendall(b"".join(self._connection.send(message) for message in messages))
 

@@ -42,7 +42,7 @@ class NoRos:
     def stop(self) -> None:
         pass
 
-    def nodes(self) -> list[str]:
+    def node_names(self) -> list[str]:
         return []
 
     def ends_of(self, node: str) -> NodeEnds:

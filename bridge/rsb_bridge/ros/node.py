@@ -157,8 +157,8 @@ class RosNode:
         if self._thread is not None and self._thread is not threading.current_thread():
             self._thread.join(_STOP_WITHIN)
 
-    def nodes(self) -> list[str]:
-        return self._joined().nodes()
+    def node_names(self) -> list[str]:
+        return self._joined().node_names()
 
     def ends_of(self, node: str) -> NodeEnds:
         return self._joined().ends_of(node)

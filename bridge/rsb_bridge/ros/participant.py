@@ -121,7 +121,7 @@ class Participant:
         self._context.shutdown()
         self._context.destroy()
 
-    def nodes(self) -> list[str]:
+    def node_names(self) -> list[str]:
         """The full names of all nodes but our own."""
         found = ask(self._node.handle.get_node_names_and_namespaces)
         names = (sanitize_text(f"{namespace.rstrip('/')}/{name}", TEXT_LENGTH) for name, namespace in found)

@@ -383,7 +383,7 @@ class RosInterface(RouteEnds, Protocol):
     def stop(self) -> None:
         """Close every endpoint, leave the domain, end the thread. May be called twice."""
 
-    def nodes(self) -> list[str]:
+    def node_names(self) -> list[str]:
         """Return the full name of every node but our own, once for each node of a name that several have."""
 
     def ends_of(self, node: str) -> NodeEnds:

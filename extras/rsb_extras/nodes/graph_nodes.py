@@ -46,7 +46,7 @@ class GraphNodes(NamedTuple):
 
 def node_names(ros: RosInterface) -> Counter[str]:
     """Return the names of all nodes but bridges', with how many nodes have each."""
-    names = Counter(name for name in ros.nodes() if not is_bridge(name))
+    names = Counter(name for name in ros.node_names() if not is_bridge(name))
     return Counter(dict(sorted(names.items())[:MOST_NODES])) if len(names) > MOST_NODES else names
 
 

@@ -8,9 +8,8 @@ import msgspec
 import zstandard
 
 from rsb_bridge.config.rights import Use, as_if_listed
-from rsb_bridge.feature_api import Extension, LinkError, Questions, Wording
+from rsb_bridge.feature_api import LASTING, Cause, Extension, LinkError, Questions, Verdict, Wording
 from rsb_bridge.model.budgets import TokenBucket
-from rsb_bridge.model.verdict import LASTING, Cause, Verdict
 from rsb_bridge.wire.codec import invalid, unpack
 from rsb_extras.nodes import SHOW_NODES
 from rsb_extras.nodes.graph_nodes import ROSOUT
@@ -69,7 +68,7 @@ class LinkNodes(Extension):
             AskNode: self._asked_one,
             NodeTold: self._told_one,
         }
-        self.book: Final = NodeBook()
+        self.book: Final = NodeBook(link.context.wall_ns() >> 16)
         self._link = link
         self._watch = link.context.shared(NodeWatch)
         self._lists: Questions[None] = Questions(link, _ANSWERED_WITHIN, a_second=_A_SECOND, newest_counts=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import secrets
 from collections import OrderedDict
 from typing import TYPE_CHECKING
 
@@ -21,6 +20,9 @@ _encode = msgspec.msgpack.Encoder().encode
 class NodeBook:
     """The nodes and processes of one side.
 
+    Args:
+        identity: tells it from other books, also from that of a bridge's earlier life.
+
     Attributes:
         nodes: by full name.
         processes: by pid.
@@ -28,12 +30,12 @@ class NodeBook:
         why_not: the reason why there are none, for an operator, or empty.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, identity: int = 1) -> None:
         self.nodes: dict[str, NodeState] = {}
         self.processes: dict[int, ProcessState] = {}
         self.number = 0
         self.why_not = ""
-        self._id = secrets.randbits(48)
+        self._id = identity
         self._changed: OrderedDict[str | int, int] = OrderedDict()  # the number of each one's last change, in order
         self._gone: OrderedDict[str | int, int] = OrderedDict()
         self._complete_since = 0  # earlier ends are forgotten
@@ -69,7 +71,7 @@ class NodeBook:
         self._changed.clear()
         self._gone.clear()
         self.number = self._complete_since = 0
-        self._id = secrets.randbits(48)
+        self._id += 1
 
     def take(self, changes: Changes, now: int) -> None:
         """Do what another book's changes say, in this side's time (`now`, s)."""

@@ -127,7 +127,7 @@ class NodeWatch:
     """
 
     def __init__(self, context: Context) -> None:
-        self.book: Final = NodeBook()
+        self.book: Final = NodeBook(context.wall_ns() >> 16)
         self._context = context
         self._nodes: dict[str, _Node] = {}
         self._changes = -1

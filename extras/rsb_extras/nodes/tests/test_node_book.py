@@ -62,7 +62,6 @@ def test_reader_has_what_the_writer_has(steps: list[tuple[str, int]], room: int)
                 read(room)
     read(100)
     assert reader.nodes.keys() == writer.nodes.keys()
-    assert [each.publishes for each in reader.nodes.values()] == [reader.nodes[k].publishes for k in reader.nodes]
     assert {name: each.publishes for name, each in reader.nodes.items()} == {
         name: each.publishes for name, each in writer.nodes.items()
     }
@@ -130,5 +129,3 @@ def test_lifecycle_state_is_asked_and_followed(bridge: Bridge) -> None:
         eventually(lambda: state() == "inactive", what="its next state")
     finally:
         node.close()
-    eventually(lambda: (found := looker.look().nodes.get("/managed")) is not None and found.ended, what="its end")
-    assert state() == ""
