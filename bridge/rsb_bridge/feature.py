@@ -28,6 +28,7 @@ GROUP = "rsb_console.feature"
 
 BRINGS: Mapping[str, str] = {
     "bench": "bench",
+    **dict.fromkeys(("hear_rosout", "show_nodes"), "nodes"),
     **dict.fromkeys(("diagnostics_topic", "driver_topic", "metrics", "on_fault"), "exporters"),
     "record": "recording",
     "units": "units",
@@ -40,13 +41,13 @@ BRINGS_TRANSPORTS: Mapping[str, str] = {"zenoh": "zenoh", "zenoh-drop": "zenoh"}
 """The same of transports."""
 BRINGS_COMMANDS: Mapping[str, str] = {
     "audit": "audit", "bench": "bench", "demo": "demo", "doctor": "doctor", "fleet": "fleet", "import": "imports",
-    "look": "pictures", "pub": "driving", "record": "recording", "report": "history", "service": "service",
-    "units": "units",
+    "look": "pictures", "nodes": "nodes", "pub": "driving", "record": "recording", "report": "history",
+    "service": "service", "units": "units",
 }  # fmt: skip
 """The same of subcommands."""
 BRINGS_ACTIONS: Mapping[str, str] = {
     "demo": "demo", "drive": "driving", "history": "history", "import_session": "imports", "look": "pictures",
-    "publish": "driving", "record": "recording", "units": "units",
+    "nodes": "nodes", "publish": "driving", "record": "recording", "units": "units",
     **dict.fromkeys(("dismiss", "edit_marked", "mark", "open_robot"), "fleet"),
 }  # fmt: skip
 """The same of actions of the console, by their ids in ``keys.yaml``."""

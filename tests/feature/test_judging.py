@@ -32,6 +32,10 @@ class _Opinion(Extension):
     def __init__(self, link: Any) -> None:
         self._link, self.asked = link, 0
         self.answer: Callable[[], Any] = type(None)
+        self.knows: Callable[[Verdict], Any] = lambda _: None
+
+    def explanation(self, route: Any, verdict: Verdict) -> Verdict | None:
+        return self.knows(verdict) if self._link.is_client else None
 
     def verdict(self, route: Any) -> Verdict | None:
         self.asked += 1
@@ -120,3 +124,29 @@ def test_failing_judge_is_left_out_with_a_line(
     eventually(lambda: now(client).time > snapshot.time + 2, what="further ticks")
     assert opinion.asked == asked
     assert cause(client) != "watch.bent"
+
+
+def _know(client: Any, opinion: _Opinion, knows: Callable[[Verdict], Any]) -> None:
+    opinion.knows = knows
+    say(client, opinion, type(None))
+
+
+def test_explanation_adds_to_the_cores_text_on_both_sides(watched: tuple[Any, Any, _Opinion]) -> None:
+    server, client, opinion = watched
+    eventually(lambda: cause(client) == "no_publisher", what="its cause")
+    state = route(client, "/scan").state
+    _know(
+        client,
+        opinion,
+        lambda verdict: Verdict(State.OK, "watch.mine", f"{verdict.text}: the mast fell", verdict.since),
+    )
+    for engine in (client, server):
+        eventually(lambda engine=engine: route(engine, "/scan").reason.endswith(": the mast fell"), what="the text")
+        assert (route(engine, "/scan").state, cause(engine)) == (state, "no_publisher")
+
+
+def test_failing_explanation_is_left_out_with_a_line(watched: tuple[Any, Any, _Opinion]) -> None:
+    _, client, opinion = watched
+    _know(client, opinion, lambda _: _fail())
+    eventually(lambda: happened(client, EventCode.ENGINE_FEATURE_LEFT_OUT, "RuntimeError: it fails"), what="a line")
+    assert cause(client) == "no_publisher"

@@ -16,8 +16,9 @@ if TYPE_CHECKING:
     from rsb_bridge.link.link import Link
 
 
-def rogue(bridge: Bridge) -> Rogue:
-    return Rogue(bridge.port, read_key(bridge.folder / bridge.key_file).secret)
+def rogue(bridge: Bridge, *features: str) -> Rogue:
+    """Return a client that claims to have some features."""
+    return Rogue(bridge.port, read_key(bridge.folder / bridge.key_file).secret, features=features)
 
 
 def link(engine: Engine) -> Link:

@@ -21,7 +21,7 @@ from tests.support.waiting import eventually
 from rsb_bridge.model.qos import PROFILES, Qos
 from rsb_bridge.ros.node import RosNode
 from rsb_bridge.ros.publication_numbers import PublicationNumbers, Untaken
-from rsb_bridge.ros.ros_interface import TopicSpec
+from rsb_bridge.ros.ros_interface import NodeEnds, TopicSpec
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
@@ -104,6 +104,19 @@ def test_graph_shows_others_and_not_ourselves(open_node: Callable[..., RosNode],
     published = eventually(lambda: rclpy_node.get_publisher_names_and_types_by_node(seen, "/"))
     assert published == [("/shared", [STRING])]
     assert rclpy_node.get_service_names_and_types_by_node(seen, "/") == []
+
+
+def test_nodes_and_what_they_use(open_node: Callable[..., RosNode], rclpy_node: Node) -> None:
+    ours, other = open_node(), open_node()
+    other.advertise(strings("/theirs"), "link")
+    rclpy_node.create_subscription(String, "/heard", print, 10)
+    eventually(lambda: {"/stock", f"/{other.node_name}"} <= set(ours.node_names()), what="both")
+    assert f"/{ours.node_name}" not in ours.node_names()
+    published = eventually(lambda: ours.ends_of(f"/{other.node_name}").publishes, what="its topic")
+    assert published == {"/theirs": [STRING]}
+    stock = eventually(lambda: found if "/heard" in (found := ours.ends_of("/stock")).hears else None, what="heard")
+    assert stock.serves["/stock/get_parameters"] == ["rcl_interfaces/srv/GetParameters"]
+    assert ours.ends_of("/nobody") == NodeEnds()
 
 
 def test_visible_nodes_have_parameters(open_node: Callable[..., RosNode], rclpy_node: Node) -> None:

@@ -9,7 +9,7 @@ from tests.simulation.ros import Domain, Reader, Writer
 from tests.simulation.services import Client, Server
 
 from rsb_bridge.ros.discovery import Discovery
-from rsb_bridge.ros.ros_interface import Endpoint, RosError
+from rsb_bridge.ros.ros_interface import Endpoint, NodeEnds, RosError
 from rsb_bridge.ros.ros_thread import LONGEST_WAIT, RosTurns
 
 if TYPE_CHECKING:
@@ -93,6 +93,12 @@ class Node:
 
     def _ends(self) -> list[Writer | Reader | Server | Client]:
         return [*self.writers, *self.readers, *self.servers_of_ours, *self.clients_of_ours]
+
+    def node_names(self) -> list[str]:
+        return []
+
+    def ends_of(self, node: str) -> NodeEnds:
+        return NodeEnds()
 
     def topics(self) -> dict[str, list[str]]:
         found = self._domain.topics()

@@ -60,10 +60,12 @@ _BROKEN = "the peer broke the format"
 @contextlib.contextmanager
 def _no_figures() -> Iterator[None]:
     """Have simulated machines no figures: this one's differ each time, and would be sent."""
-    place = Place("rsb_extras.machine_state.machine_reading", "MachineWatch.look")
+    machine = Place("rsb_extras.machine_state.machine_reading", "MachineWatch.look")
+    nodes = Place("rsb_extras.nodes.node_watch", "NodeWatch.tick")
     with contextlib.ExitStack() as stack:
         with contextlib.suppress(ModuleNotFoundError):  # the core alone
-            stack.enter_context(place.during(lambda _: None))
+            stack.enter_context(machine.during(lambda _: None))
+            stack.enter_context(nodes.during(lambda *_: None))
         yield
 
 

@@ -83,6 +83,7 @@ class FakePeer:
     down_reason = ""
     suspended_since = None
     verdicts: Any = None
+    explain: Any = None
     connections = 1
 
     def __init__(self) -> None:

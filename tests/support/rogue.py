@@ -46,11 +46,20 @@ class Rogue:
     """
 
     def __init__(
-        self, port: int, key: bytes | None, name: str = "robot1", *, host: str = "127.0.0.1", timeout: float = 60.0
+        self,
+        port: int,
+        key: bytes | None,
+        name: str = "robot1",
+        *,
+        host: str = "127.0.0.1",
+        timeout: float = 60.0,
+        features: tuple[str, ...] = (),
     ) -> None:
         self._address = (host, port)
         self._timeout = timeout
-        self._connection = ClientConnection(Hello("0.1.0", name, "rogue", 0), key, CipherSuite.AESGCM)
+        self._connection = ClientConnection(
+            Hello("0.1.0", name, "rogue", 0, features=features), key, CipherSuite.AESGCM
+        )
         self._control = socket.create_connection(self._address, timeout=timeout)
         self._control.sendall(self._connection.start())
         self._saying = threading.Lock()

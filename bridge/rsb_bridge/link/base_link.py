@@ -140,6 +140,7 @@ class BaseLink:
         self.extensions = Extensions()
         self.route_fields, self.meter_of = self.extensions.route_fields, self.extensions.meter_of
         self.verdicts: Callable[[Route], Iterable[Verdict]] | None = None
+        self.explain: Callable[[Route, Verdict], Verdict] | None = None
         self.keepalive = Keepalive(self)
         self.clock, self.stamps = self.keepalive.clock, self.keepalive.stamps
         self.shortages_told: set[bool] = set()  # of kernel buffers, here or there
@@ -154,6 +155,8 @@ class BaseLink:
         self.extensions.add(extension)
         if self.extensions.judging:
             self.verdicts = self.extensions.verdicts
+        if self.extensions.explaining:
+            self.explain = self.extensions.explain
         self.handlers |= extension.messages
         return extension
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from rsb_bridge.config.name_rules import name_problems
 from rsb_bridge.installed_features import failed
 from rsb_bridge.model.limits import TEXT_LENGTH
 from rsb_bridge.model.snapshot import State
-from rsb_bridge.model.text import is_clean
+from rsb_bridge.model.text import is_clean, sanitize_text
 from rsb_bridge.model.verdict import Verdict
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.tasks import in_slices
@@ -77,6 +78,13 @@ class Extension:
         """
         return None
 
+    def explanation(self, route: Route, verdict: Verdict) -> Verdict | None:
+        """Return the core's verdict on one of its routes with more in its text, or None if it knows nothing more.
+
+        State and cause stay as they are. It is asked when `verdict` is, of what is not fine.
+        """
+        return None
+
     def removed(self, route: Route) -> None:
         """End what a route was for: an operator of this side removes it."""
 
@@ -106,6 +114,7 @@ class Extensions:
         self._showing_links: list[Extension] = []
         self._showing_routes: list[Extension] = []
         self.judging: list[Extension] = []  # of features; one whose `verdict` has failed is asked no more
+        self.explaining: list[Extension] = []  # the same of `explanation`
         self._told: list[Extension] = []  # of the present connection, if the peer has their feature, too
 
     def add(self, extension: Extension) -> None:
@@ -117,6 +126,8 @@ class Extensions:
             self._showing_routes.append(extension)
         if kind.verdict is not Extension.verdict:
             self.judging.append(extension)
+        if kind.explanation is not Extension.explanation:
+            self.explaining.append(extension)
 
     def find(self, kind: type[_E]) -> _E:
         return next(each for each in self._all if isinstance(each, kind))
@@ -177,6 +188,17 @@ class Extensions:
                 self.judging.remove(each)
                 failed(each.feature, "verdict", error)
         return found
+
+    def explain(self, route: Route, verdict: Verdict) -> Verdict:
+        """Return a verdict of the core's with what features know about its cause."""
+        for each in tuple(self.explaining):
+            try:
+                if (found := each.explanation(route, verdict)) is not None:
+                    return replace(verdict, text=sanitize_text(found.text), since=found.since)
+            except Exception as error:  # noqa: BLE001 -- as above
+                self.explaining.remove(each)
+                failed(each.feature, "explanation", error)
+        return verdict
 
     def route_fields(self, route: Route) -> dict[str, Any]:
         shown: dict[str, Any] = {}

@@ -68,6 +68,9 @@ class GraphWatch:
 
     Args:
         look_for_names: starts the search for names after a change.
+
+    Attributes:
+        changes: number of looks after changes so far. A look at the graph after this has grown sees what had changed.
     """
 
     def __init__(
@@ -76,6 +79,7 @@ class GraphWatch:
         self._context = context
         self._links = links
         self._look_for_names = look_for_names
+        self.changes = 0
         self._due = asyncio.Event()
         self._noted = False
         self._looks = 0
@@ -97,6 +101,7 @@ class GraphWatch:
                 # Before the look: routes that have been asked already have to look again after a further change.
                 self._due.clear()
                 self._noted = False
+                self.changes += changed
                 self._looks += 1
                 cost = await self._advance_routes(idle=changed or not self._looks % _IDLE_EVERY)
                 await asyncio.sleep(FOR_ROUTES.pause(cost))

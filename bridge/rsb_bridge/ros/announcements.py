@@ -308,6 +308,11 @@ class Announcements:
         self._ordinary: OrderedDict[str, None] = OrderedDict()
         self._warnings = TokenBucket(3, 0.01, loop.time())  # a node that publishes nonsense must not fill the log
 
+    @property
+    def gid(self) -> bytes:
+        """Id of this bridge's publisher of announcements in the middleware, or empty bytes before the start."""
+        return self._publisher.gid if self._publisher is not None else b""
+
     def start(self, changed: Callable[[], None]) -> None:
         """Publish the announcement and subscribe to the others'.
 

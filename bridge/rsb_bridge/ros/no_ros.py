@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from rsb_bridge.ros.discovery import Discovery
-from rsb_bridge.ros.ros_interface import Endpoint, RosError
+from rsb_bridge.ros.ros_interface import Endpoint, NodeEnds, RosError
 from rsb_bridge.ros.ros_thread import RosTurns
 
 if TYPE_CHECKING:
@@ -41,6 +41,12 @@ class NoRos:
 
     def stop(self) -> None:
         pass
+
+    def node_names(self) -> list[str]:
+        return []
+
+    def ends_of(self, node: str) -> NodeEnds:
+        return NodeEnds()
 
     def topics(self) -> dict[str, list[str]]:
         return {}

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.ros_interface import (
         Endpoint,
         LostPort,
+        NodeEnds,
         OnFailure,
         Publisher,
         RequestSink,
@@ -156,6 +157,12 @@ class RosNode:
                 participant.wake()
         if self._thread is not None and self._thread is not threading.current_thread():
             self._thread.join(_STOP_WITHIN)
+
+    def node_names(self) -> list[str]:
+        return self._joined().node_names()
+
+    def ends_of(self, node: str) -> NodeEnds:
+        return self._joined().ends_of(node)
 
     def topics(self) -> dict[str, list[str]]:
         participant = self._joined()

@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 from rclpy.context import Context
 
-from rsb_bridge.model.limits import DOMAIN, TOPIC_LENGTH
+from rsb_bridge.model.limits import DOMAIN, TEXT_LENGTH, TOPIC_LENGTH
 from rsb_bridge.model.names import is_topic_name
 from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.ros.arrivals import EventArrivals, WaitSetArrivals
 from rsb_bridge.ros.distribution import described
 from rsb_bridge.ros.memory import profile_variable, prompt_writer
@@ -31,10 +32,11 @@ from rsb_bridge.ros.native.rclpy_extension import (
     LivelinessOfPublishers,
     UntakenResponses,
     ask,
+    names_of_node,
     reason_of,
 )
 from rsb_bridge.ros.raw_types import borrow_service, borrow_type
-from rsb_bridge.ros.ros_interface import Endpoint, RosError, RosProblem
+from rsb_bridge.ros.ros_interface import Endpoint, NodeEnds, RosError, RosProblem
 from rsb_bridge.ros.security import Security
 from rsb_bridge.ros.self_test import ARGUMENTS, findings
 from rsb_bridge.ros.service_endpoints import (
@@ -128,6 +130,17 @@ class Participant:
         self._node.destroy()
         self._context.shutdown()
         self._context.destroy()
+
+    def node_names(self) -> list[str]:
+        """The full names of all nodes but our own."""
+        found = ask(self._node.handle.get_node_names_and_namespaces)
+        names = (sanitize_text(f"{namespace.rstrip('/')}/{name}", TEXT_LENGTH) for name, namespace in found)
+        return [name for name in names if name != self._name]
+
+    def ends_of(self, node: str) -> NodeEnds:
+        """The names that a node uses."""
+        namespace, _, name = node.rpartition("/")
+        return NodeEnds(*map(_named, names_of_node(self._node.handle, name, namespace or "/")))
 
     def topics(self) -> dict[str, list[str]]:
         """Every topic that ROS can subscribe to, our own node's too, with its type names."""

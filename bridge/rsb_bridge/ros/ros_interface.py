@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 from rsb_bridge.model.wording import Wording
@@ -145,6 +145,15 @@ class Endpoint(NamedTuple):
     def has_foreign_key(self) -> bool:
         """Whether its type has a key, and its DDS is not Fast DDS."""
         return self.has_key and self.gid[:2] != _FAST_DDS
+
+
+class NodeEnds(NamedTuple):
+    """The names that a node uses, each with its types."""
+
+    publishes: Mapping[str, Sequence[str]] = {}
+    hears: Mapping[str, Sequence[str]] = {}
+    serves: Mapping[str, Sequence[str]] = {}
+    calls: Mapping[str, Sequence[str]] = {}
 
 
 class LostPort(NamedTuple):
@@ -379,6 +388,12 @@ class RosInterface(RouteEnds, Protocol):
 
     def stop(self) -> None:
         """Close every endpoint, leave the domain, end the thread. May be called twice."""
+
+    def node_names(self) -> list[str]:
+        """Return the full name of every node but our own, once for each node of a name that several have."""
+
+    def ends_of(self, node: str) -> NodeEnds:
+        """Return what a node uses, by its full name: nothing once it has gone."""
 
     def topics(self) -> dict[str, list[str]]:
         """Return every topic of the graph with its type names; topics that only our own node holds are left out."""

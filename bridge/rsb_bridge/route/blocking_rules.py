@@ -56,8 +56,14 @@ def judge(half: FactsT, crossing: Crossing, rules: Rules[FactsT]) -> tuple[Verdi
         found += of_features(half.route)
     if half.route.limit.rate:
         found.append(Verdict(State.OK, Cause.THROTTLED, f"limit {half.route.limit.rate:g} Hz, {half.route.limit.why}"))
-    own = _worst(half, found)
-    return own, _worst(half, [each for each in found if not each.here]) if own.here else own
+    own = _known_more(half, _worst(half, found))
+    return own, _known_more(half, _worst(half, [each for each in found if not each.here])) if own.here else own
+
+
+def _known_more(half: Facts, verdict: Verdict) -> Verdict:
+    """Return a verdict with what features know about its cause."""
+    explain = half.route.peer.explain
+    return verdict if explain is None or not verdict.cause else explain(half.route, verdict)
 
 
 def _worst(half: Facts, found: Sequence[Verdict]) -> Verdict:

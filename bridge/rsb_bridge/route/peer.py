@@ -107,5 +107,9 @@ class Peer(Protocol):
     def verdicts(self) -> Callable[[Any], Iterable[Verdict]] | None:
         """Function that returns the verdicts of features on one of its routes, or None if none judges."""
 
+    @property
+    def explain(self) -> Callable[[Any, Verdict], Verdict] | None:
+        """Function that adds what features know about a verdict's cause to its text, or None if none knows more."""
+
     def closed(self, route_id: int) -> None:
         """Note the end of a route's opening: control messages about it that still come are late."""

@@ -8,6 +8,7 @@ But the signatures of the extension module differ between distributions. So `Ext
 from __future__ import annotations
 
 from contextlib import suppress
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
@@ -50,6 +51,8 @@ TOPICS: Final[Question] = named("rclpy_get_topic_names_and_types")
 SERVICES: Final[Question] = named("rclpy_get_service_names_and_types")
 PUBLISHERS: Final[Question] = named("rclpy_get_publishers_info_by_topic")
 SUBSCRIPTIONS: Final[Question] = named("rclpy_get_subscriptions_info_by_topic")
+_TOPICS_OF_NODE: Final = tuple(named(f"rclpy_get_{end}_names_and_types_by_node") for end in ("publisher", "subscriber"))
+_CALLS_OF_NODE: Final = tuple(named(f"rclpy_get_{end}_names_and_types_by_node") for end in ("service", "client"))
 
 _CLASSES = {kind: named(kind.capitalize()) for kind in ("subscription", "publisher", "service", "client")}
 _node, _wait_set, _guard_condition = named("Node"), named("WaitSet"), named("GuardCondition")
@@ -71,7 +74,33 @@ def ask(question: Question, *arguments: object) -> Any:
     except RuntimeError as error:
         raise RosError(RosProblem.GRAPH_UNREADABLE(reason=reason_of(error))) from error
     except TypeError as error:
-        raise RosError(RosProblem.LACKS(distribution=described(), name=question.__name__)) from error
+        raise RosError(RosProblem.LACKS(distribution=described(), name=_name_of(question))) from error
+
+
+def _name_of(question: Question) -> str:
+    return _name_of(question.args[0]) if isinstance(question, partial) else question.__name__
+
+
+def names_of_node(node: Any, name: str, namespace: str) -> list[list[tuple[str, list[str]]]]:
+    """Return the names, with types, that a node publishes, hears, serves and calls, or none of a node that has gone.
+
+    Args:
+        node: the extension module's object that asks.
+
+    Raises:
+        RosError: rcl can't answer.
+    """
+
+    def asked(question: Question, *arguments: object) -> Any:
+        try:
+            return question(node, *arguments, name, namespace)
+        except _rclpy.NodeNameNonExistentError:
+            return []
+
+    return [
+        *(ask(partial(asked, each), False) for each in _TOPICS_OF_NODE),
+        *(ask(partial(asked, each)) for each in _CALLS_OF_NODE),
+    ]
 
 
 def wait_set(context: Context, *, subscriptions: int = 0, guards: int = 0, clients: int = 0, services: int = 0) -> Any:

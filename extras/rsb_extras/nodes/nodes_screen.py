@@ -1,0 +1,356 @@
+"""The screen of nodes: a tree by machine and namespace with the faults first, and the page of one node."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+import textwrap
+from typing import TYPE_CHECKING, ClassVar
+
+from textual.binding import Binding
+from textual.screen import ModalScreen
+
+from rsb_bridge.feature_api import EngineError, Wording
+from rsb_console.feature_console import (
+    STATE_SIGN,
+    Dialog,
+    FixedLines,
+    Line,
+    Prompt,
+    RowFilter,
+    ScrolledLines,
+    SelectableList,
+    fit,
+)
+from rsb_extras.nodes import node_rows
+from rsb_extras.nodes.node_book import NodeBook
+from rsb_extras.nodes.node_data import Nodes, OneNode
+from rsb_extras.nodes.node_rows import FAULTS, LOOK, NodeGroup
+
+if TYPE_CHECKING:
+    from textual.app import ComposeResult
+
+    from rsb_bridge.feature_api import LinkSnapshot, RouteSnapshot
+    from rsb_console.feature_console import Console, MainScreen
+    from rsb_extras.nodes.node_data import NodeDetails, NodeState
+
+_RENEWED_EVERY = 1.0  # s; the bridges ask each other as often
+_FOLDED_FROM = 8  # nodes of a namespace without a fault. A round figure
+_LABEL = 12
+HELP = "⏎ node, or fold   / filter   f faults   t its topics   s side   esc close"
+_DETAIL_HELP = "t its topics   j k scroll   esc back"
+
+
+class NodesScreenText(Wording):
+    """Texts of the screen."""
+
+    ASKING = "asking {side}"
+    NO_SESSION = "no session runs"
+    NONE = "no node"
+    NO_MATCH = "no match"
+    NO_PUBLISHER = "no node is known to publish {topic}"
+    NO_TOPICS = "{node} publishes and hears nothing that is shown"
+    THIS_SIDE = "this side"
+
+
+class NodeTable(SelectableList):
+    """Machines, namespaces and nodes, one a line."""
+
+    def __init__(self) -> None:
+        super().__init__(id="nodes")
+        self._lines: dict[str, Line] = {}
+
+    def show(self, lines: dict[str, Line]) -> None:
+        """Show lines by their keys."""
+        self._lines = lines
+        self.show_keys(list(lines))
+
+    def line(self, index: int) -> Line:
+        mark = "▌" if self.is_cursor(index) else " "
+        return fit(((mark, "key"), *self._lines[self.keys[index]]), self.width)
+
+
+class NodesScreen(ModalScreen[str | None]):
+    """The nodes of one side. It is closed with a filter for the table of topics, or None.
+
+    Args:
+        sides: names of links, and None for this side.
+        side: the first one to show.
+        topic: the topic whose publisher the cursor is to be on, by its name on that side, or empty.
+    """
+
+    BINDINGS: ClassVar = [
+        Binding("escape", "back", show=False),
+        Binding("q", "dismiss(None)", show=False),
+        Binding("enter", "open", show=False),
+        Binding("slash", "filter", show=False),
+        Binding("f", "faults", show=False),
+        Binding("t", "topics", show=False),
+        Binding("s", "side", show=False),
+    ]
+    AUTO_FOCUS = "#nodes"
+    DEFAULT_CSS = """
+    #nodes-summary { height: 1; background: $surface; }
+    #nodes { height: 1fr; margin: 1 0; background: $surface; }
+    """
+
+    def __init__(self, console: Console, sides: list[str | None], side: str | None, topic: str = "") -> None:
+        super().__init__()
+        self.console = console
+        self.summary, self.table, self.prompt = FixedLines(id="nodes-summary"), NodeTable(), Prompt("")
+        self.pattern: RowFilter | None = None
+        self.book = NodeBook()
+        self._sides, self._side, self._topic = sides, side, topic
+        self._at = (0, 0)
+        self._now = 0
+        self._problem = ""
+        self._faults_only = False
+        self._folds: dict[str, bool] = {}  # as the operator has left them
+        self._wanted = ""  # node that the cursor is to be on
+        self._groups: dict[str, NodeGroup] = {}
+
+    def compose(self) -> ComposeResult:
+        yield Dialog("Nodes", self.summary, self.table, self.prompt, keys=HELP, shape="-high")
+
+    def on_mount(self) -> None:
+        self.set_interval(_RENEWED_EVERY, self.renew)
+        self.show()
+        self._ask()
+
+    def renew(self) -> None:
+        """Ask again, unless an answer is still due, perhaps over a thin line."""
+        if self._fetching.is_finished:
+            self._ask()
+
+    def _ask(self) -> None:
+        self._fetching = self.run_worker(self._fetch(self._side), exclusive=True, group="nodes")
+
+    async def _fetch(self, side: str | None) -> None:
+        """Request what has changed from the engine, which may run in another process."""
+        engine = self.console.engine
+        if engine is None:
+            self._problem = NodesScreenText.NO_SESSION()
+        else:
+            try:
+                if self._topic:
+                    topic, self._topic = self._topic, ""
+                    found = await asyncio.wrap_future(engine.do(OneNode(side, topic=topic)))
+                    if found.state is None:
+                        self.notify(NodesScreenText.NO_PUBLISHER(topic=topic), markup=False)
+                    else:
+                        self._wanted = found.state.name
+                changes = await asyncio.wrap_future(engine.do(Nodes(side, *self._at)))
+            except EngineError as error:
+                self._problem = str(error)
+            else:
+                self._at, self._now, self._problem = (changes.book, changes.number), changes.now, changes.why_not
+                self.book.take(changes, changes.now)
+        self.show()
+
+    # --- what is shown
+
+    def show(self) -> None:
+        parts = ["Nodes", self._side_name, "faults only" if self._faults_only else ""]
+        parts.append("" if self.pattern is None else f"/{self.pattern.text}")
+        self.query_one(Dialog).border_title = " ▸ ".join(filter(None, parts))
+        if self._problem or not self._at[0]:
+            text = self._problem or NodesScreenText.ASKING(side=self._side_name)
+            self.summary.put([((text, "down" if self._problem else "dim"),)])
+        else:
+            self.summary.put([((node_rows.counts(self.book.nodes.values(), self._now), ""),)])
+        self.table.show(self._tree())
+        if self._wanted in self.table.keys:
+            self.table.move_to(self.table.keys.index(self._wanted))
+            self._wanted = ""
+
+    @property
+    def _side_name(self) -> str:
+        return NodesScreenText.THIS_SIDE() if self._side is None else self._side
+
+    def _tree(self) -> dict[str, Line]:
+        """Return the lines of the tree by their keys."""
+        shown = [node for node in self.book.nodes.values() if self._is_shown(node)]
+        found = node_rows.groups(shown, self._now)
+        self._groups = {group.key: group for group in found}
+        shared = node_rows.sharing(self.book.nodes.values())
+        machine, lines = "", dict[str, Line]()
+        for group in found:
+            if group.machine != machine:
+                machine = group.machine
+                lines[f"\n{machine}"] = ((machine, "head"),)
+            folded = self._is_folded(group)
+            about = f"  {len(group.nodes)} nodes" if folded else ""
+            lines[group.key] = ((f" {'▸' if folded else '▾'} ", "dim"), (group.namespace, "strong"), (about, "dim"))
+            if not folded:
+                width = max(len(node_rows.short_name(node)) for node in group.nodes)
+                lines |= {node.name: self._line(node, width, shared(node)) for node in group.nodes}
+        if not lines and self._at[0]:
+            filtered = self.pattern is not None or self._faults_only
+            lines[""] = (((NodesScreenText.NO_MATCH if filtered else NodesScreenText.NONE)(), "dim"),)
+        return lines
+
+    def _line(self, node: NodeState, width: int, shared: int) -> Line:
+        state = LOOK[node_rows.health(node, self._now)]
+        about = [node_rows.status(node, self._now), node_rows.figures(node, self.book.processes, shared)]
+        line = "" if node.line is None else node_rows.line_text(node.line, self._now)
+        return (
+            (f"   {STATE_SIGN[state]} ", state.value),
+            (f"{node_rows.short_name(node):<{min(width, 40)}}  ", ""),
+            ("; ".join(filter(None, about)), "dim"),
+            (f"  {line}" if line else "", state.value if state in _LOUD else "dim"),
+        )
+
+    def _is_shown(self, node: NodeState) -> bool:
+        if self._faults_only and node_rows.health(node, self._now) not in FAULTS:
+            return False
+        if self.pattern is None:
+            return True
+        line = "" if node.line is None else node.line.text
+        return self.pattern.matches({"": f"{node.name} {node.machine} {node_rows.status(node, self._now)} {line}"})
+
+    def _is_folded(self, group: NodeGroup) -> bool:
+        if self.pattern is not None or self._faults_only or any(node.name == self._wanted for node in group.nodes):
+            return False
+        at_first = node_rows.is_folded_at_first(group, self._now, _FOLDED_FROM)
+        return self._folds.get(group.key, at_first)
+
+    # --- keys
+
+    def action_open(self) -> None:
+        """Open the page of a node, or fold or unfold a namespace."""
+        key = self.table.cursor_key or ""
+        if (group := self._groups.get(key)) is not None:
+            self._folds[key] = not self._is_folded(group)
+            self.show()
+        elif key in self.book.nodes:
+            self.run_worker(self._open(key), exclusive=True, group="node")
+
+    async def _open(self, name: str) -> None:
+        details = await self._details(name)
+        if details is None:
+            return
+        shared = 1 if details.state is None else node_rows.sharing(self.book.nodes.values())(details.state)
+        if await self.console.ask(NodeScreen(name, node_rows.detail_lines(details, shared))):
+            self._close_for(name, details)
+
+    async def _details(self, name: str) -> NodeDetails | None:
+        engine = self.console.engine
+        if engine is None:
+            return None
+        try:
+            return await asyncio.wrap_future(engine.do(OneNode(self._side, node=name)))
+        except EngineError as error:
+            self.notify(str(error), severity="error", markup=False)
+            return None
+
+    def action_topics(self) -> None:
+        """Show the topics of the node under the cursor in the table of topics."""
+        if (name := self.table.cursor_key or "") in self.book.nodes:
+            self.run_worker(self._show_topics(name), exclusive=True, group="node")
+
+    async def _show_topics(self, name: str) -> None:
+        if (details := await self._details(name)) is not None:
+            self._close_for(name, details)
+
+    def _close_for(self, name: str, details: NodeDetails) -> None:
+        topics = [each.name for each in (*details.publishes, *details.hears)]
+        if topics:
+            # Either side may have a name before them.
+            robot = f"robot:^{re.escape(self._side)}$ " if self._side is not None and len(self._sides) > 2 else ""
+            self.dismiss(f"{robot}topic:(?:{'|'.join(map(re.escape, topics))})$")
+        else:
+            self.notify(NodesScreenText.NO_TOPICS(node=name), markup=False)
+
+    def on_selectable_list_chosen(self) -> None:
+        self.action_open()
+
+    def action_filter(self) -> None:
+        self.prompt.open("" if self.pattern is None else self.pattern.text)
+
+    def on_prompt_changed(self, event: Prompt.Changed) -> None:
+        self.pattern = event.pattern
+        self.show()
+
+    def on_prompt_closed(self) -> None:
+        self.set_focus(self.table)
+
+    def action_faults(self) -> None:
+        self._faults_only = not self._faults_only
+        self.show()
+
+    def action_side(self) -> None:
+        """Show the next side."""
+        self._side = self._sides[(self._sides.index(self._side) + 1) % len(self._sides)]
+        self.book, self._at, self._problem = NodeBook(), (0, 0), ""
+        self.show()
+        self._ask()
+
+    def action_back(self) -> None:
+        """Drop what filters, or close."""
+        if self.pattern is None and not self._faults_only:
+            self.dismiss(None)
+            return
+        self.pattern, self._faults_only = None, False
+        self.show()
+
+
+class NodeScreen(ModalScreen[bool]):
+    """All that is known of one node. It is closed with True to show its topics."""
+
+    BINDINGS: ClassVar = [
+        Binding("escape,q", "dismiss(False)", show=False),
+        Binding("t", "dismiss(True)", show=False),
+    ]
+    AUTO_FOCUS = "#node"
+    DEFAULT_CSS = "#node { height: 1fr; background: $surface; }"
+
+    def __init__(self, name: str, lines: list[tuple[str, str]]) -> None:
+        super().__init__()
+        self._node = name
+        self._texts = lines
+        self.lines = ScrolledLines(id="node")
+
+    def compose(self) -> ComposeResult:
+        yield Dialog(self._node, self.lines, keys=_DETAIL_HELP, shape="-high")
+
+    def on_mount(self) -> None:
+        self.call_after_refresh(self.show)
+
+    def on_resize(self) -> None:
+        self.show()
+
+    def show(self) -> None:
+        width = max(20, (self.lines.size.width or 80) - _LABEL)
+        self.lines.show(
+            ((f"{'' if number else label:<{_LABEL}}", "dim"), (part, ""))
+            for label, text in self._texts
+            for number, part in enumerate(textwrap.wrap(text, width) or [""])
+        )
+
+
+_LOUD = frozenset(LOOK[each] for each in FAULTS)
+
+
+async def show_nodes(screen: MainScreen) -> None:
+    """Show the nodes of the side that publishes the topic under the cursor, or of the first link's other side."""
+    console, route = screen.console, screen.topics.route
+    sides: list[str | None] = [*(link.name for link in console.snapshot().links), None]
+    side, topic = (sides[0], "") if route is None else _publishing_side(route)
+    found = await console.ask(NodesScreen(console, sides, side, topic))
+    if found is not None:
+        screen.filtered = screen.topics
+        screen.topics.pattern = RowFilter(found)
+        screen.topics.relist()
+
+
+async def nodes_of_link(console: Console, link: LinkSnapshot) -> None:
+    """Show the nodes at the other end of a link."""
+    sides: list[str | None] = [*(each.name for each in console.snapshot().links), None]
+    await console.ask(NodesScreen(console, sides, link.name))
+
+
+def _publishing_side(route: RouteSnapshot) -> tuple[str | None, str]:
+    """Return the side that publishes a topic, and its name there; of what is called, the side alone."""
+    if route.spec.kind != "topic":
+        return route.link, ""
+    return (None, route.topic) if route.outgoing else (route.link, route.remote_topic)
