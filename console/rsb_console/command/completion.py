@@ -185,7 +185,12 @@ def available(parsed_args: Namespace, **_: object) -> list[str]:
 
 def links(parsed_args: Namespace, **_: object) -> list[str]:
     """Return the clients of a bridge, by name."""
-    return _asked(_filled(parsed_args), lambda engine: [link.name for link in engine.snapshot().links])
+    return asked_of_bridge(parsed_args, lambda engine: [link.name for link in engine.snapshot().links])
+
+
+def asked_of_bridge(parsed_args: Namespace, ask: Callable[[RemoteEngine], list[str]]) -> list[str]:
+    """Return the answer of the bridge that the arguments so far name, or an empty list if none answers in time."""
+    return _asked(_filled(parsed_args), ask)
 
 
 def awaited(**_: object) -> list[str]:

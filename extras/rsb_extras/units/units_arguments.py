@@ -35,7 +35,8 @@ def add_units(add: AddCommand, complete: Complete) -> None:
     units = add("units", subcommand("rsb_extras.units.units_command:units"), summary, _MORE, after="call")
     bridge_options(units, complete)
     units.add_argument("action", nargs="?", choices=ACTIONS, help="the action; without it, all units are listed")
-    units.add_argument("unit", nargs="?", metavar="UNIT", help="the unit's name")
+    unit = units.add_argument("unit", nargs="?", metavar="UNIT", help="the unit's name")
+    complete(unit, "rsb_extras.units.unit_names:unit_names")
     which = "the client, if several have units"
     complete(units.add_argument("--link", default="", metavar="CLIENT", help=which), "links")
     units.add_argument("--here", action="store_true", help="the bridge's own side, if both have a unit of that name")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from argparse import Namespace
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +12,7 @@ from tests.support.waiting import eventually
 from rsb_bridge.feature import MAY
 from rsb_console.command.shell import FAILURE, OK, USAGE
 from rsb_extras.units.tests.supervised import Supervised, has, may
+from rsb_extras.units.unit_names import unit_names
 from rsb_extras.units.unit_requests import ControlUnit, UnitGroup
 
 if TYPE_CHECKING:
@@ -99,3 +101,8 @@ def test_a_real_unit_comes_back(bridge: Bridge, machine: Machine, ran: Run, tmp_
     assert nav.ran == ["restart", "restart"]
     assert ControlUnit("nav", "restart").expires
     nav.close()
+
+
+def test_names_are_completed(machine: Machine, here: None) -> None:
+    machine.serve()
+    assert unit_names(Namespace()) == ["camera", "lidar", "nav"]
