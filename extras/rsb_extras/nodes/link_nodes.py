@@ -18,7 +18,7 @@ from rsb_extras.nodes.node_data import (
     PACKED_LIMIT,
     AskNode,
     AskNodes,
-    Changes,
+    NodeChanges,
     NodeDetails,
     NodesNews,
     NodeTold,
@@ -39,7 +39,7 @@ _BURST, _BYTES_A_SECOND = 4000, 1500
 _NOBODY = frozenset({Cause.NO_PUBLISHER, Cause.PUBLISHER_GONE})
 _LINE_IN_VERDICT = 120
 _encode = msgspec.msgpack.Encoder().encode
-_changes = msgspec.msgpack.Decoder(Changes)
+_changes = msgspec.msgpack.Decoder(NodeChanges)
 _details = msgspec.msgpack.Decoder(NodeDetails)
 
 T = TypeVar("T")
@@ -156,7 +156,7 @@ class LinkNodes(Extension):
         await self._watch.ready()
         context = self._link.context
         now = context.now()
-        found = Changes(0, 0, True, round(now), why_not=self._not_shown)
+        found = NodeChanges(0, 0, True, round(now), why_not=self._not_shown)
         if not found.why_not:
             found = self._watch.book.changes(
                 question.book, question.since, found.now, lambda size: self._allowance.take(size, context.now())
@@ -245,7 +245,7 @@ class LinkNodes(Extension):
         return Verdict(verdict.state, verdict.cause, text, ended.at)
 
 
-def _packed(content: Changes | NodeDetails) -> bytes:
+def _packed(content: NodeChanges | NodeDetails) -> bytes:
     return zstandard.compress(_encode(content))
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from rsb_extras.nodes.node_data import MOST_NODES, MOST_PROCESSES, Changes, NodeState, ProcessState
+from rsb_extras.nodes.node_data import MOST_NODES, MOST_PROCESSES, NodeChanges, NodeState, ProcessState
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -73,7 +73,7 @@ class NodeBook:
         self.number = self._complete_since = 0
         self._id += 1
 
-    def take(self, changes: Changes, now: int) -> None:
+    def take(self, changes: NodeChanges, now: int) -> None:
         """Do what another book's changes say, in this side's time (`now`, s)."""
         if changes.whole:
             known = {each.name for each in changes.nodes} | {each.pid for each in changes.processes}
@@ -94,7 +94,7 @@ class NodeBook:
         for gone in changes.gone:
             self.drop(gone)
 
-    def changes(self, book: int, since: int, now: int, may_send: Callable[[int], bool] = lambda _: True) -> Changes:
+    def changes(self, book: int, since: int, now: int, may_send: Callable[[int], bool] = lambda _: True) -> NodeChanges:
         """Return what has changed since a number of this book; all if that is not known.
 
         Args:
@@ -102,7 +102,7 @@ class NodeBook:
             may_send: whether there is room for so many further bytes; what finds none is in a later answer.
         """
         if self.why_not:
-            return Changes(0, 0, True, now, why_not=self.why_not)
+            return NodeChanges(0, 0, True, now, why_not=self.why_not)
         whole = book != self._id or not self._complete_since <= since <= self.number
         if whole:
             since = 0
@@ -120,7 +120,7 @@ class NodeBook:
                 processes.append(state)
         # Those that have come back meanwhile are among the others; what has no room yet, is gone later, too.
         gone = () if whole else tuple(k for k, at in self._gone.items() if since < at <= number and not self._has(k))
-        return Changes(self._id, number, whole, now, tuple(nodes), tuple(processes), gone)
+        return NodeChanges(self._id, number, whole, now, tuple(nodes), tuple(processes), gone)
 
     def _note(self, key: str | int) -> None:
         self.number += 1

@@ -105,7 +105,7 @@ class ProcessState(msgspec.Struct, frozen=True, array_like=True):
     since: Second
 
 
-class Changes(msgspec.Struct, frozen=True, array_like=True):
+class NodeChanges(msgspec.Struct, frozen=True, array_like=True):
     """What has changed since an earlier answer, or all.
 
     Attributes:
@@ -166,7 +166,7 @@ class AskNodes(ControlMessageBase, frozen=True):
 
 
 class NodesNews(ControlMessageBase, frozen=True):
-    """Answer `AskNodes`: `Changes` as msgpack in a zstd frame."""
+    """Answer `AskNodes`: `NodeChanges` as msgpack in a zstd frame."""
 
     request: Count
     packed: Annotated[bytes, Meta(max_length=PACKED_LIMIT)]
@@ -187,7 +187,7 @@ class NodeTold(ControlMessageBase, frozen=True):
     packed: Annotated[bytes, Meta(max_length=PACKED_LIMIT)]
 
 
-class Nodes(Command[Changes], frozen=True, tag="nodes"):
+class Nodes(Command[NodeChanges], frozen=True, tag="nodes"):
     """Return what has changed among the nodes of one side since an earlier answer."""
 
     right = Right.LOOK

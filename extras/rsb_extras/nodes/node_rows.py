@@ -22,7 +22,7 @@ _LEVELS = {30: "WARN", 40: "ERROR", 50: "FATAL"}
 _MB = 10**6
 
 
-class Health(IntEnum):
+class NodeHealth(IntEnum):
     """How well a node is, the worst first."""
 
     ENDED = 0
@@ -33,14 +33,14 @@ class Health(IntEnum):
     HIDDEN = 5
 
 
-FAULTS = frozenset({Health.ENDED, Health.ERROR, Health.NOT_ACTIVE, Health.WARN})
+FAULTS = frozenset({NodeHealth.ENDED, NodeHealth.ERROR, NodeHealth.NOT_ACTIVE, NodeHealth.WARN})
 LOOK = {
-    Health.ENDED: State.DOWN,
-    Health.ERROR: State.STOPPED,
-    Health.NOT_ACTIVE: State.WAITING,
-    Health.WARN: State.STALE,
-    Health.WELL: State.OK,
-    Health.HIDDEN: State.RESTING,
+    NodeHealth.ENDED: State.DOWN,
+    NodeHealth.ERROR: State.STOPPED,
+    NodeHealth.NOT_ACTIVE: State.WAITING,
+    NodeHealth.WARN: State.STALE,
+    NodeHealth.WELL: State.OK,
+    NodeHealth.HIDDEN: State.RESTING,
 }
 """A state of topics with a like sign and colour."""
 
@@ -57,27 +57,27 @@ class NodeGroup(NamedTuple):
         return f"{self.machine}\n{self.namespace}"
 
 
-def health(node: NodeState, now: float) -> Health:
+def health(node: NodeState, now: float) -> NodeHealth:
     if node.ended is not None:
-        return Health.ENDED
+        return NodeHealth.ENDED
     if node.is_hidden:
-        return Health.HIDDEN
+        return NodeHealth.HIDDEN
     level = node.line.level if node.line is not None and now - node.line.at < _FRESH else 0
     if level >= 40:
-        return Health.ERROR
+        return NodeHealth.ERROR
     if node.lifecycle not in ("", "active"):
-        return Health.NOT_ACTIVE
-    return Health.WARN if level >= 30 else Health.WELL
+        return NodeHealth.NOT_ACTIVE
+    return NodeHealth.WARN if level >= 30 else NodeHealth.WELL
 
 
 def groups(nodes: Iterable[NodeState], now: float) -> list[NodeGroup]:
     """Return nodes by machine and namespace: the machines, and on each the namespaces, with the worst faults first."""
-    found: dict[str, dict[str, list[tuple[Health, NodeState]]]] = {}
+    found: dict[str, dict[str, list[tuple[NodeHealth, NodeState]]]] = {}
     for node in nodes:
         of_machine = found.setdefault(node.machine or UNKNOWN_MACHINE, {})
         of_machine.setdefault(node.name.rpartition("/")[0] or "/", []).append((health(node, now), node))
 
-    def worst(of_namespace: list[tuple[Health, NodeState]]) -> Health:
+    def worst(of_namespace: list[tuple[NodeHealth, NodeState]]) -> NodeHealth:
         return min(each for each, _ in of_namespace)
 
     ordered = []
@@ -100,10 +100,10 @@ def counts(nodes: Iterable[NodeState], now: float) -> str:
     running = sum(node.count for node in shown)
     parts = [f"{running} {plural(running, 'node')}"]
     words = {
-        Health.ENDED: "ended",
-        Health.ERROR: "with errors",
-        Health.NOT_ACTIVE: "not active",
-        Health.WARN: "with warnings",
+        NodeHealth.ENDED: "ended",
+        NodeHealth.ERROR: "with errors",
+        NodeHealth.NOT_ACTIVE: "not active",
+        NodeHealth.WARN: "with warnings",
     }
     parts += [f"{number} {word}" for each, word in words.items() if (number := found.count(each))]
     return ", ".join(parts)

@@ -62,7 +62,7 @@ _MEMORY_STEP, _MEMORY_SHARE = 2, 0.05
 """Figures that differ by less than a step, in percent or MB, or by less than a share are no news."""
 
 
-class Ended(NamedTuple):
+class EndedNode(NamedTuple):
     """A node that has ended, when (s), and its last line or an empty string."""
 
     node: str
@@ -171,13 +171,13 @@ class NodeWatch:
             now, known.state(name), process, publishes, hears, serves, calls, tuple(known.lines), left_out
         )
 
-    def ended_publisher(self, topic: str) -> Ended | None:
+    def ended_publisher(self, topic: str) -> EndedNode | None:
         """Return the node that published a topic and ended last, or None if none has."""
         name = self._publisher_of(topic)
         known = self._nodes.get(name)
         return None if known is None or known.ended is None else self._ended(name, known, known.ended)
 
-    def ended_node(self, endpoints: Sequence[Endpoint]) -> Ended | None:
+    def ended_node(self, endpoints: Sequence[Endpoint]) -> EndedNode | None:
         """Return the node of endpoints that DDS still lists, though all their processes have ended, or None."""
         processes = self._processes
         if processes is None or not endpoints:
@@ -432,8 +432,8 @@ class NodeWatch:
         ]
         return max(found)[2] if found else ""
 
-    def _ended(self, name: str, known: _Node, at: float) -> Ended:
-        return Ended(name, at, known.lines[-1].text if known.lines else "")
+    def _ended(self, name: str, known: _Node, at: float) -> EndedNode:
+        return EndedNode(name, at, known.lines[-1].text if known.lines else "")
 
 
 def _figures(processes: NodeProcesses, pids: set[int], now: float) -> dict[int, ProcessState]:

@@ -13,7 +13,7 @@ from rsb_extras.nodes.node_watch import NodeWatch
 
 if TYPE_CHECKING:
     from rsb_bridge.feature_api import Bridge, Snapshot
-    from rsb_extras.nodes.node_data import Changes, NodeDetails
+    from rsb_extras.nodes.node_data import NodeChanges, NodeDetails
 
 
 class NodesPart(EnginePart):
@@ -30,7 +30,7 @@ class NodesPart(EnginePart):
     async def close(self) -> None:
         self._watch.close()
 
-    async def _nodes(self, command: Nodes) -> Changes:
+    async def _nodes(self, command: Nodes) -> NodeChanges:
         now = round(self._bridge.context.now())
         if command.link is None:
             self._watch.look()

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from rsb_extras.nodes.node_data import (
-    Changes,
     FoundBy,
     LogLine,
     NameAndType,
+    NodeChanges,
     NodeDetails,
     Nodes,
     NodeState,
@@ -28,9 +28,9 @@ KNOWN = (LIDAR, *CAMERAS, PLANNER, SHELL)
 PROCESS = ProcessState(812, "component_conta", 42, 310, 61, NOW - 7200)
 
 
-def answer(command: Nodes) -> Changes:
+def answer(command: Nodes) -> NodeChanges:
     whole = (command.book, command.since) != (7, 20)
-    return Changes(7, 20, True, NOW, KNOWN, (PROCESS,)) if whole else Changes(7, 20, False, NOW)
+    return NodeChanges(7, 20, True, NOW, KNOWN, (PROCESS,)) if whole else NodeChanges(7, 20, False, NOW)
 
 
 def answer_one(command: OneNode) -> NodeDetails:

@@ -23,7 +23,7 @@ from rsb_bridge.wire.protocol_error import Broken
 from rsb_extras import nodes
 from rsb_extras.nodes.lifecycle_states import state_in
 from rsb_extras.nodes.log_messages import Logged, read_log
-from rsb_extras.nodes.node_data import AskNode, AskNodes, Changes, LogLine, Nodes, NodesNews, NodeState, NodeTold
+from rsb_extras.nodes.node_data import AskNode, AskNodes, LogLine, NodeChanges, Nodes, NodesNews, NodeState, NodeTold
 
 if TYPE_CHECKING:
     from tests.support.bridge import Bridge
@@ -50,12 +50,12 @@ BAD: list[Any] = [
     b"no frame",
     BOMB,
     packed("text"),
-    packed(Changes(1, 1, True, 0, nodes=(NodeState("/a\x1b[2J"),))),
-    packed(Changes(1, 1, True, 0, nodes=(NodeState("/a", line=LogLine(40, 0, "x" * 201)),))),
-    packed(Changes(1, 1, True, 0, nodes=(NodeState("/a", count=-1),))),
-    packed(Changes(1, 1, True, 0, nodes=tuple(NodeState(f"/{number}") for number in range(1001)))),
-    packed(Changes(-1, 1, True, 0)),
-    packed(Changes(1, 1, True, 1 << 41)),
+    packed(NodeChanges(1, 1, True, 0, nodes=(NodeState("/a\x1b[2J"),))),
+    packed(NodeChanges(1, 1, True, 0, nodes=(NodeState("/a", line=LogLine(40, 0, "x" * 201)),))),
+    packed(NodeChanges(1, 1, True, 0, nodes=(NodeState("/a", count=-1),))),
+    packed(NodeChanges(1, 1, True, 0, nodes=tuple(NodeState(f"/{number}") for number in range(1001)))),
+    packed(NodeChanges(-1, 1, True, 0)),
+    packed(NodeChanges(1, 1, True, 1 << 41)),
 ]
 
 
@@ -77,7 +77,7 @@ def test_answer_that_nobody_asked_for_is_not_read(bridge: Bridge) -> None:
         eventually(lambda: server.snapshot().links[0].state is State.OK, what="a link")
         client.say(NodesNews(77, b"no frame"))
         asked = server.do(Nodes("robot1"))
-        known = Changes(1, 1, True, 0, nodes=(NodeState("/there", line=LINE),))
+        known = NodeChanges(1, 1, True, 0, nodes=(NodeState("/there", line=LINE),))
         client.say(NodesNews(client.wait_for(AskNodes).request, packed(known)))
         assert [each.name for each in asked.result(60).nodes] == ["/there"]
 
