@@ -43,7 +43,7 @@ from bench.bed import FAR, NEAR, ROOT
 from bench.robot_links import LINKS, Link, Spoken
 from tests.network.hosts import Host, NoHostError
 
-from rsb_bridge.ros.memory import PROFILE_VARIABLES
+from rsb_bridge.ros.memory import LARGE_MESSAGES
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -57,7 +57,7 @@ _AFTER_GAP = 3.0
 _DRAINS = 5.0
 """s in which the last messages arrive after the robot has stopped."""
 _MATCHES_WITHIN = 30.0
-_PROFILE = ROOT / "configs" / "fastdds-large-messages.xml"
+_PROFILES = {variable: str(ROOT / "configs" / name) for variable, name in LARGE_MESSAGES.items()}
 """Without it, DDS hands on hardly one image of 6 MB a minute in full, and small topics late, on the same machine."""
 _TYPE = "std_msgs/msg/String"
 _LOST = re.compile("link with the server at .* lost: ")
@@ -203,7 +203,7 @@ class _Child:
         # Hosts have a network of their own, so that what DDS sends to a peer, it sends there only.
         finds = {"ROS_STATIC_PEERS": peer, "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}
         near = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-        variables = {**os.environ, **dict.fromkeys(PROFILE_VARIABLES, str(_PROFILE)), **(finds if peer else near)}
+        variables = {**os.environ, **_PROFILES, **(finds if peer else near)}
         self.process = host.start(
             sys.executable, *command, stdin=subprocess.PIPE, stdout=output, stderr=output, env=variables
         )
