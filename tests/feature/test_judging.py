@@ -31,10 +31,11 @@ BENT_HERE = Verdict(State.SLOW, "watch.bent", BENT.text, here=True)
 class _Opinion(Extension):
     def __init__(self, link: Any) -> None:
         self._link, self.asked = link, 0
+        self.explanation = self._explain
         self.answer: Callable[[], Any] = type(None)
         self.knows: Callable[[Verdict], Any] = lambda _: None
 
-    def explanation(self, route: Any, verdict: Verdict) -> Verdict | None:
+    def _explain(self, route: Any, verdict: Verdict) -> Verdict | None:
         return self.knows(verdict) if self._link.is_client else None
 
     def verdict(self, route: Any) -> Verdict | None:

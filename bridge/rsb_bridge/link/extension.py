@@ -37,11 +37,15 @@ class Extension:
             told of connections only if the peer has that, too.
         messages: its handlers of control messages, by type. A handler may return work to be done in slices.
         purpose: the purpose of the internal routes that it serves, or None.
+        explanation: returns the core's verdict on one of its routes with more in its text, or None if it knows nothing
+            more. State and cause stay as they are. It is asked when `verdict` is, of what is not fine. None if it never
+            knows more.
     """
 
     feature: str = ""
     messages: Mapping[type, Callable[[Any], Slices | None]] = {}
     purpose: Purpose | None = None
+    explanation: Callable[[Any, Verdict], Verdict | None] | None = None
 
     def connected(self) -> None:
         """Begin an association: the peer is authenticated."""
@@ -75,13 +79,6 @@ class Extension:
         It is asked once a second, while messages come and the link is up, of what is neither refused nor paused nor
         disarmed. If the answer changes for another reason than a message, call `route.judge_again`. The worst of all
         verdicts counts. Its `cause` begins with the feature's name and a dot: ``watch.low``.
-        """
-        return None
-
-    def explanation(self, route: Route, verdict: Verdict) -> Verdict | None:
-        """Return the core's verdict on one of its routes with more in its text, or None if it knows nothing more.
-
-        State and cause stay as they are. It is asked when `verdict` is, of what is not fine.
         """
         return None
 
@@ -126,7 +123,7 @@ class Extensions:
             self._showing_routes.append(extension)
         if kind.verdict is not Extension.verdict:
             self.judging.append(extension)
-        if kind.explanation is not Extension.explanation:
+        if extension.explanation is not None:
             self.explaining.append(extension)
 
     def find(self, kind: type[_E]) -> _E:
@@ -193,7 +190,7 @@ class Extensions:
         """Return a verdict of the core's with what features know about its cause."""
         for each in tuple(self.explaining):
             try:
-                if (found := each.explanation(route, verdict)) is not None:
+                if each.explanation is not None and (found := each.explanation(route, verdict)) is not None:
                     return replace(verdict, text=sanitize_text(found.text), since=found.since)
             except Exception as error:  # noqa: BLE001 -- as above
                 self.explaining.remove(each)

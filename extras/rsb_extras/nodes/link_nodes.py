@@ -68,6 +68,7 @@ class LinkNodes(Extension):
             AskNode: self._asked_one,
             NodeTold: self._told_one,
         }
+        self.explanation = self._explain
         self.book: Final = NodeBook(link.context.wall_ns() >> 16)
         self._link = link
         self._watch = link.context.shared(NodeWatch)
@@ -226,7 +227,7 @@ class LinkNodes(Extension):
 
     # --- why a topic does not flow
 
-    def explanation(self, route: Route, verdict: Verdict) -> Verdict | None:
+    def _explain(self, route: Route, verdict: Verdict) -> Verdict | None:
         if not route.outgoing:
             return None
         if verdict.cause in _NOBODY:
