@@ -32,7 +32,7 @@ BEYOND = {
     "history": 14,
     "imports": 39,
     "machine_state": 1,
-    "nodes": 15,
+    "nodes": 14,
     "operators": 24,
     "own_commands": 7,
     "pictures": 41,

@@ -195,6 +195,7 @@ def _half(known: dict[str, Any], now: float) -> Any:
             suspended_since=None,
             path=SimpleNamespace(fault=known["path"]),
             verdicts=None,
+            explain=None,
         ),
         transport=SimpleNamespace(reliable=True, largest_message=MESSAGE_LIMIT),
         life=SimpleNamespace(

@@ -84,6 +84,12 @@ def profile_variable(environment: Mapping[str, str]) -> str:
     return _OLD if any(prefix and Path(prefix, "lib", _FAST_DDS_2).exists() for prefix in prefixes) else _NEW
 
 
+def profile_for_large(environment: Mapping[str, str]) -> tuple[str, str]:
+    """Return that variable's name, and the name of the file in `configs` for it."""
+    variable = profile_variable(environment)
+    return variable, LARGE_MESSAGES[variable]
+
+
 class _Statistics(ctypes.Structure):
     """A mallinfo2 (malloc.h)."""
 

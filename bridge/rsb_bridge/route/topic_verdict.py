@@ -10,7 +10,7 @@ from rsb_bridge.model.qos import clashes
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.verdict import LASTING, Cause, Verdict
-from rsb_bridge.ros.memory import LARGE_MESSAGES, profile_variable
+from rsb_bridge.ros.memory import profile_for_large
 from rsb_bridge.route.age import expired_verdict
 from rsb_bridge.route.blocking_rules import ACCEPTED, first_missing
 from rsb_bridge.route.combined_verdict import NAMED, named, who_publish
@@ -237,8 +237,8 @@ def _nothing_yet(half: SenderFacts) -> tuple[Cause, str]:
     if half.flow.qos and not half.flow.qos.latched and all(each.qos.latched for each in endpoints):
         verbs = LEFT_OUT_LATCHED  # they may well have published, before the subscription
     elif not half.came_before and _may_get_lost(half):
-        variable = profile_variable(os.environ)
-        remedy = _REMEDY_FOR_LARGE.format(variable=variable, file=LARGE_MESSAGES[variable])
+        variable, file = profile_for_large(os.environ)
+        remedy = _REMEDY_FOR_LARGE.format(variable=variable, file=file)
         return Cause.PUBLISHER_UNHEARD, f"{_plural(endpoints, *MAY_BE_LOST)}: {remedy}"
     return Cause.PUBLISHER_SILENT, _plural(endpoints, *verbs)
 

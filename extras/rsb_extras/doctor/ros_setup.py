@@ -23,7 +23,7 @@ from rsb_bridge.ros.distribution import (
     distribution,
     rclpy_version,
 )
-from rsb_bridge.ros.memory import LARGE_MESSAGES, PROFILE_VARIABLES, profile_variable
+from rsb_bridge.ros.memory import PROFILE_VARIABLES, profile_for_large
 from rsb_bridge.ros.security import Security
 from rsb_extras.doctor import large_messages
 
@@ -244,8 +244,8 @@ def _large_messages(environ: Mapping[str, str], large_test: Sequence[str]) -> It
     finding = partial(finding, facts=facts | {"size": large_messages.SIZE})
     text = RosText.LARGE(arrived=facts["arrived"], sent=facts["sent"], size=large_messages.SIZE / 1e6)
     if facts["arrived"] < facts["sent"]:
-        variable = profile_variable(environ)
-        installed = _CONFIGS / LARGE_MESSAGES[variable]
+        variable, name = profile_for_large(environ)
+        installed = _CONFIGS / name
         file = installed if installed.exists() else f"…/{installed.name}"
         remedy = RosText.LARGE_REMEDY(variable=variable, file=file)
         yield finding(grade=Grade.NOTE, text=RosText.LARGE_LOST(found=text), remedy=remedy)

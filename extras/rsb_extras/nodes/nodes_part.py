@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rsb_bridge.feature_api import EnginePart
-from rsb_bridge.link.link import link_named
+from rsb_bridge.feature_api import EnginePart, link_named
 from rsb_extras.nodes import HEAR_ROSOUT, SHOW_NODES
 from rsb_extras.nodes.link_nodes import LinkNodes
 from rsb_extras.nodes.node_data import Nodes, OneNode
@@ -48,4 +47,4 @@ class NodesPart(EnginePart):
         return await self._there(command.link).one(command.node, command.topic)
 
     def _there(self, link: str) -> LinkNodes:
-        return link_named(link, self._bridge.role.links()).extensions.find(LinkNodes)
+        return link_named(link, self._bridge.links()).extensions.find(LinkNodes)
