@@ -51,7 +51,7 @@ BRINGS_ACTIONS: Mapping[str, str] = {
     **dict.fromkeys(("dismiss", "edit_marked", "mark", "open_robot"), "fleet"),
 }  # fmt: skip
 """The same of actions of the console, by their ids in ``keys.yaml``."""
-BRINGS_SETTINGS: Mapping[str, str] = {"commands": "own_commands", "layouts": "pictures"}
+BRINGS_SETTINGS: Mapping[str, str] = {"commands": "own_commands", "layouts": "pictures", "picture_age": "driving"}
 """The same of settings in ``console.yaml``."""
 
 MAY = "may"
