@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from rsb_bridge.bluetooth.scan import BluezError, read_objects
+from rsb_bridge.bluetooth.bluez import BluezError, read_objects
 
 ADAPTER = {"Address": "00:11:22:33:44:55", "Powered": True, "Alias": "robot1", "Class": 0}
 DEVICE = {

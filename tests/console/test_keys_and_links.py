@@ -11,7 +11,9 @@ from tests.support import replaced
 from tests.support.long import long
 from textual.pilot import Pilot
 
-from rsb_bridge.bluetooth.scan import ANY_ADAPTER, CHANNELS, Adapter, ChannelUse, Device, Scan
+from rsb_bridge.bluetooth.bluez import Device
+from rsb_bridge.bluetooth.hci import ANY_ADAPTER, CHANNELS, Adapter
+from rsb_bridge.bluetooth.scan import ChannelUse, Scan
 from rsb_bridge.config.keys import fingerprint, read_key, write_key
 from rsb_bridge.model.session import Client
 from rsb_bridge.model.snapshot import State

@@ -12,7 +12,7 @@ from tests.ros.domains import ANOTHER
 from tests.support import replaced
 
 from rsb_bridge.model.qos import Qos, clamp_qos, match_publishers, match_subscriptions
-from rsb_bridge.ros.native.rcl_endpoints import endpoint_of
+from rsb_bridge.ros.native.rcl_conversions import endpoint_of
 from rsb_bridge.ros.participant import Participant
 from rsb_bridge.wire.codec import decode, encode, pack_topics, topic_entries
 from rsb_bridge.wire.messages import Describe, Report

@@ -18,7 +18,7 @@ from rsb_bridge.model.qos import (
     match_publishers,
     match_subscriptions,
 )
-from rsb_bridge.ros.native.rcl_endpoints import rcl_profile
+from rsb_bridge.ros.native.rcl_conversions import rcl_profile
 
 RELIABILITIES: tuple[Reliability, ...] = ("reliable", "best_effort")
 DURABILITIES: tuple[Durability, ...] = ("volatile", "transient_local")

@@ -1,1 +1,1 @@
-"""Bluetooth adapters, their channels, and devices in range."""
+"""Bluetooth adapters, their channels, and devices that are paired or connected."""

@@ -22,7 +22,7 @@ from rsb_bridge.ros.memory import profile_variable, prompt_writer
 from rsb_bridge.ros.native.description_service import ask_node
 from rsb_bridge.ros.native.fast_dds_profiles import load_profiles
 from rsb_bridge.ros.native.librcl import TakeBuffer, graph_guard_condition, reset_error
-from rsb_bridge.ros.native.rcl_endpoints import endpoint_of, safe_type_name
+from rsb_bridge.ros.native.rcl_conversions import endpoint_of, safe_type_name
 from rsb_bridge.ros.native.rclpy_extension import (
     PUBLISHERS,
     SERVICES,

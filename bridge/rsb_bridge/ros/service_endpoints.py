@@ -47,7 +47,7 @@ from rsb_bridge.ros.native.librcl import (
     take_request,
     take_response,
 )
-from rsb_bridge.ros.native.rcl_endpoints import endpoint_of
+from rsb_bridge.ros.native.rcl_conversions import endpoint_of
 from rsb_bridge.ros.native.rclpy_extension import PUBLISHERS, SUBSCRIPTIONS, reason_of
 from rsb_bridge.ros.native.typesupport import joined_hash
 from rsb_bridge.ros.ros_interface import Request, Response, RosError, RosProblem

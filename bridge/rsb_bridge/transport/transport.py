@@ -1,6 +1,7 @@
 """The interface between links and their transports: TCP, UDP, RFCOMM and any further one.
 
-A transport is one class in one module of this package, listed in `rsb_bridge.transport.registry`. There are two kinds:
+A transport is one class in one module, of this package or of a feature; `rsb_bridge.transport.registry` knows all.
+There are two kinds:
 
 - A `StreamTransport` connects byte streams (`rsb_bridge.transport.streams.Stream`). It can carry a whole link: its
   control connection and its routes.

@@ -6,7 +6,8 @@ import asyncio
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
-from rsb_bridge.bluetooth.scan import ANY_ADAPTER, CHANNELS, ChannelUse, Scan, scan
+from rsb_bridge.bluetooth.hci import ANY_ADAPTER, CHANNELS
+from rsb_bridge.bluetooth.scan import ChannelUse, Scan, scan
 from rsb_console.command.formatting import json_line
 from rsb_console.command.shell import FAILURE, OK, print_error, print_line
 

@@ -10,7 +10,8 @@ from textual.binding import Binding
 from textual.containers import Vertical
 from textual.screen import ModalScreen
 
-from rsb_bridge.bluetooth.scan import ANY_ADAPTER, Adapter, ChannelUse, Device, Scan, held_channels, scan
+from rsb_bridge.bluetooth.hci import ANY_ADAPTER, Adapter
+from rsb_bridge.bluetooth.scan import ChannelUse, Scan, held_channels, scan
 from rsb_console.widgets.form import Notice
 from rsb_console.widgets.lines import FixedLines, Line, fit
 from rsb_console.widgets.selectable_list import SelectableList
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 
     from textual.app import ComposeResult
 
+    from rsb_bridge.bluetooth.bluez import Device
     from rsb_console.console_api import Console
 
 CHANNELS_A_LINE = 15  # half of them, so that two lines fit 80 columns

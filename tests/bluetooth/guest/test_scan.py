@@ -14,8 +14,9 @@ from tests.support import constants
 from tests.support.wording import says
 
 from rsb_bridge.bluetooth import hci
-from rsb_bridge.bluetooth.hci import NoBluetooth
-from rsb_bridge.bluetooth.scan import ANY_ADAPTER, CHANNELS, ChannelUse, Scan, ScanProblem, read_bluez, scan
+from rsb_bridge.bluetooth.bluez import BluezProblem, read_bluez
+from rsb_bridge.bluetooth.hci import ANY_ADAPTER, CHANNELS, NoBluetooth
+from rsb_bridge.bluetooth.scan import ChannelUse, Scan, ScanProblem, scan
 from rsb_console.command.bt_scan import run_bt_scan
 
 from .conftest import holding, wait_until
@@ -177,7 +178,7 @@ def _reload_bus() -> None:
 def test_user_without_rights_on_bluez_is_told_group(bluez_forbidden: None) -> None:
     printed = scan_as_user()
     assert printed.startswith("True ")
-    assert says(printed, ScanProblem.BLUEZ_FORBIDDEN)
+    assert says(printed, BluezProblem.BLUEZ_FORBIDDEN)
 
 
 def test_without_dbus_the_kernel_is_asked(addresses: tuple[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -189,7 +190,7 @@ def test_without_dbus_the_kernel_is_asked(addresses: tuple[str, str], monkeypatc
         ("hci1", addresses[1], True),
     ]
     assert busy(found, addresses[0]) == {2}
-    assert says(found.problems[0], ScanProblem.NO_DBUS)
+    assert says(found.problems[0], BluezProblem.NO_DBUS)
     assert found.usable
 
 
@@ -209,7 +210,7 @@ _BUS = """<busconfig><listen>unix:path={path}</listen>
 
 
 @pytest.mark.parametrize(
-    ("rule", "code"), [('<allow receive_sender="*"/>', ScanProblem.BLUEZ_STOPPED), ("", ScanProblem.BLUEZ_SILENT)]
+    ("rule", "code"), [('<allow receive_sender="*"/>', BluezProblem.BLUEZ_STOPPED), ("", BluezProblem.BLUEZ_SILENT)]
 )
 def test_a_bus_without_bluez(rule: str, code: ScanProblem, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A D-Bus daemon of the test's own, where nobody is org.bluez, and one that keeps its answers to itself."""

@@ -7,7 +7,7 @@ import json
 from tests.fuzz.editing import edit_json
 from tests.fuzz.parser import Parser, check_text
 
-from rsb_bridge.bluetooth.scan import BluezError, read_objects
+from rsb_bridge.bluetooth.bluez import BluezError, read_objects
 from rsb_bridge.model.text import is_clean
 
 

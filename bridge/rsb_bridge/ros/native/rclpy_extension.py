@@ -16,7 +16,7 @@ from rclpy.qos import QoSProfile
 
 from rsb_bridge.ros.distribution import described
 from rsb_bridge.ros.native.librcl import reset_error
-from rsb_bridge.ros.native.rcl_endpoints import rcl_profile
+from rsb_bridge.ros.native.rcl_conversions import rcl_profile
 from rsb_bridge.ros.ros_interface import RosError, RosProblem
 
 if TYPE_CHECKING:

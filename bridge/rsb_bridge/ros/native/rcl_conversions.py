@@ -1,4 +1,4 @@
-"""The QoS of an endpoint for rcl, and the endpoints of rcl's graph."""
+"""Converts a QoS to that of rcl, and the endpoints of rcl's graph to ours."""
 
 from __future__ import annotations
 
