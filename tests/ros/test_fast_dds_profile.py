@@ -130,11 +130,11 @@ def test_its_histories_are_the_bridges_own(variable: str) -> None:
 
 
 @pytest.mark.parametrize("variable", memory.PROFILE_VARIABLES)
-def test_profile_of_topic_is_the_prompt_one(variable: str, tmp_path: Path) -> None:
+def test_prompt_profile_stands_alone(variable: str, tmp_path: Path) -> None:
     file = tmp_path / "topic.xml"
-    file.write_bytes(memory.prompt_writer(variable, "/robot/scan"))
+    file.write_text(memory.prompt_writer(variable))
     (profile,) = ElementTree.parse(file).getroot()
-    assert profile.attrib == {"profile_name": "/robot/scan"}
+    assert profile.attrib == {"profile_name": "prompt_writer"}
 
 
 def test_fast_dds_takes_the_profile(spare_domains: int) -> None:

@@ -45,7 +45,7 @@ def distribution() -> str:
 @cache
 def rclpy_version() -> str:
     """Return rclpy's version, or an empty string if it is not installed."""
-    metadata = import_module("importlib.metadata")  # 2 MB, which most processes do without
+    metadata = import_module("importlib.metadata")  # 1.5 MB, which most processes do without
     try:
         version: str = metadata.version("rclpy")
     except metadata.PackageNotFoundError:

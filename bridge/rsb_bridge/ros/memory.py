@@ -7,6 +7,7 @@ import re
 import sys
 import threading
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -65,8 +66,9 @@ def histories_that_shrink(environment: MutableMapping[str, str]) -> Iterator[boo
         yield True
 
 
-def prompt_writer(variable: str, topic: str) -> bytes:
-    """Return the XML of the profile `prompt_writer` under the name of a topic, for which rmw_fastrtps looks first.
+@cache
+def prompt_writer(variable: str) -> str:
+    """Return the XML of the profile `prompt_writer` alone, to be given the name of a topic instead.
 
     Args:
         variable: as `profile_variable` names it.
@@ -75,7 +77,7 @@ def prompt_writer(variable: str, topic: str) -> bytes:
     head, profile = re.search(r"<profiles .*?>", text), re.search(_PROMPT_WRITER, text, re.DOTALL)
     assert head is not None
     assert profile is not None
-    return f"{head[0]}{profile[0].replace('prompt_writer', topic)}</profiles>".encode()
+    return f"{head[0]}{profile[0]}</profiles>"
 
 
 def profile_variable(environment: Mapping[str, str]) -> str:

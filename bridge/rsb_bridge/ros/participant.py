@@ -6,7 +6,6 @@ import itertools
 import os
 import threading
 from contextlib import ExitStack
-from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -64,6 +63,9 @@ _TRY_AGAIN = 0.1
 _DIFFERENT_LEASES = 1000
 """Readers that may have the same lease at a time. A round figure: the last one's is 1 ms longer."""
 _KEPT = 5000  # messages: Fast DDS's limit on a history that keeps all
+_MOST_PROMPT = 4096
+_prompt: set[str] = set()
+"""Topics whose writers have `prompt_writer`, and how many may have it. The number is a round figure."""
 _DEEP = 1000
 """Messages. A writer that keeps fewer may have overwritten what a reader lacks before it asks, which by the default
 profile takes up to 0.6 s. As many come in that time at 1.6 kHz."""
@@ -209,10 +211,10 @@ class Participant:
         topic, type_name, type_hash, qos = spec
         if qos.history == "keep_all":
             qos = msgspec.structs.replace(qos, history="keep_last", depth=_KEPT)
-        borrowed = borrow_type(type_name, type_hash)
         with self._entities:
             if self._own_profiles and qos.reliability == "reliable" and (qos.latched or qos.depth < _DEEP):
                 _be_prompt(topic)
+            borrowed = borrow_type(type_name, type_hash)
             handle = self._create("publisher", topic, borrowed, qos)
         return Writer(handle, borrowed.interface)
 
@@ -295,10 +297,14 @@ class Participant:
         return [end for info in infos if (end := endpoint_of(info)).node != self._name]
 
 
-@cache
 def _be_prompt(topic: str) -> None:
-    """Have Fast DDS give this process's writers on a topic, from now on, the profile that asks readers soon."""
-    load_profiles(prompt_writer(profile_variable(os.environ), topic))
+    """Have Fast DDS give this process's writers on a topic, from now on, the profile that asks readers soon.
+
+    Only the first `_MOST_PROMPT` topics of a process get it, as Fast DDS keeps profiles, and peers choose names.
+    """
+    if topic not in _prompt and len(_prompt) < _MOST_PROMPT:
+        _prompt.add(topic)
+        load_profiles(prompt_writer(profile_variable(os.environ)).replace("prompt_writer", topic).encode())
 
 
 def _named(found: list[tuple[str, list[str]]]) -> dict[str, list[str]]:

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 _SETTLES_AFTER = 0.1  # s without a message of a publisher: its history has come
 _HELD_FOR = 0.3  # s that messages wait for a probe; a publisher that has not been quiet for so long is busy
 _HELD = LATCHED_DEPTH  # messages of a publisher that wait
+_HEARD_WITHIN = 10.0  # s for what may have published before this side started, and may never have
 _WITHDRAWN_AFTER = 3.0  # s until the peer has closed a silent publisher's history: it looks once a second
 _ENDED_AFTER = 0.5  # s: the graph is looked at 1 s after its last change, and may have lost a publisher for a moment
 
@@ -185,6 +186,7 @@ class Histories:
         self._mute: Collection[bytes] = ()
         self._silent = SilentPublishers(loop, probe, self._withdraw, again)
         self._resends: asyncio.TimerHandle | None = None
+        self._hears_until = loop.time() + _HEARD_WITHIN
         self._probe: _Probe | None = None
         self._timer: asyncio.TimerHandle | None = None
 
@@ -345,7 +347,9 @@ class Histories:
             self._known.pop(self._id(gid), None)
         if self._resends is not None:
             self._resends.cancel()
-        self._send_newest_later(max((each.source for each in self._publishers.values()), default=0))
+        newest = max((each.source for each in self._publishers.values()), default=0)
+        self._hears_until = self._loop.time() + _HEARD_WITHIN
+        self._send_newest_later(max(newest, self._remembered.resends))
         self._found()
 
     def _send_newest_later(self, newest: int) -> None:
@@ -363,7 +367,8 @@ class Histories:
         self._resends, self._remembered.resends = None, 0
         gid, newest = max(self._publishers.items(), key=lambda item: item[1].source, default=(b"", None))
         # After a restart of this side, the newest may not have been heard yet.
-        if self._unheard and (newest is None or newest.source < newest_then):
+        is_early = self._loop.time() < self._hears_until
+        if is_early and self._unheard and (newest is None or newest.source < newest_then):
             self._send_newest_later(newest_then)
             return
         if newest is None or newest.source > newest_then:

@@ -22,7 +22,7 @@ class LockText(Wording):
     AGE = "picture {age:.1f} s old"
     OLD = "locked: the picture is {age:.1f} s old, more than {most:g} s"
     UNKNOWN = "locked: no picture yet, or its age is unknown"
-    FROZEN = "locked: the picture stands still though the robot moves; D in the list drives without it"
+    FROZEN = "locked: the picture stands still though the robot moves; D drives without"
     NUMBER = "picture_age: give seconds from 0.1 to 60, or 0 to drive by a picture of any age"
 
 

@@ -151,10 +151,11 @@ class PictureTile(Tile):
 
     def sight(self) -> CameraSight | None:
         content, type_name = self.content, self.subject.type_name
-        if not (isinstance(content, Pixels) if content else VIEWS.get(type_name) == VIEWS["sensor_msgs/msg/Image"]):
+        may_be_image = not type_name or VIEWS.get(type_name) == VIEWS["sensor_msgs/msg/Image"]
+        if not (isinstance(content, Pixels) if content else may_be_image):
             return None
         viewed, came = self._on_terminal or (None, 0.0)
-        if viewed is None or viewed.age is None:
+        if viewed is None or viewed.age is None or self._unreadable:
             return CameraSight(None)
         age = self.console.as_seen(viewed.age + time.monotonic() - came)
         return CameraSight(age, (viewed.picture.taken - viewed.picture.changed) / 1e9)

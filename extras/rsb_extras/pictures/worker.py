@@ -34,9 +34,9 @@ VIEWS_AT_MOST = 64
 TYPES_AT_MOST = 64
 """Descriptions that are remembered."""
 _ELEMENTS, _STEPS = 100_000, 500_000
+"""Messages in an array, and values, that are read from one message at most."""
 _ENCAPSULATION, _CONTENT_AT = 4, 12
 """Bytes before a message's first field, and before the second one of a header, which begins with the stamp."""
-"""Messages in an array, and values, that are read from one message at most."""
 _NICE = 10
 """On a busy core, the bridge's messages come before pictures."""
 _SECONDS = 60

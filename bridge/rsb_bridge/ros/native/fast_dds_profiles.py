@@ -21,16 +21,13 @@ _FACTORY = "_ZN8eprosima7fastdds3dds24DomainParticipantFactory"
 """Mangled as GCC and Clang do (Itanium C++ ABI), alike in Fast DDS 2 and 3."""
 
 
-def load_profiles(xml: bytes) -> bool:
-    """Add profiles to those of this process; return False if the middleware has none, or cannot be asked.
+def load_profiles(xml: bytes) -> None:
+    """Add profiles to those of this process, unless the middleware has none, or cannot be asked.
 
     A profile of a name that is there already is refused on standard error. No endpoint may be made meanwhile.
     """
-    load = _loader()
-    if load is None:
-        return False
-    load(xml)
-    return True
+    if (load := _loader()) is not None:
+        load(xml)
 
 
 @cache

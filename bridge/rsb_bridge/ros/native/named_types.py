@@ -261,15 +261,18 @@ Its `interface` is the class by which rclpy finds it.
 
 @cache
 def fast_dds_keys(message_class: type) -> bool:
-    """Whether endpoints of an installed class have a key for Fast DDS."""
+    """Whether endpoints of an installed class have a key for Fast DDS, or nothing here tells."""
     if cyclone_dds.is_used():
         return False
     type_support = type_support_of(message_class)
     found = FIND(type_support.find)(ctypes.addressof(type_support), _INTROSPECTION)
+    if found is None:  # without the package's library for introspection
+        return True
     members = MessageMembers.from_address(TypeSupport.from_address(found).data)
     return bool(members.has_key)
 
 
+@cache
 def _announces_fields() -> bool:
     """Whether rmw_fastrtps_cpp announces the fields of a type that has an introspection handle, as from Kilted on.
 
