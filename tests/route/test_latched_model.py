@@ -630,6 +630,22 @@ def test_newest_is_sent_again_after_a_restart(side: str, after: float) -> None:
         assert world.far.heard.count(b"writer 2 1") == 2
 
 
+def test_message_that_never_comes_is_not_waited_for_forever() -> None:
+    """The far side remembers one that no publisher has any more, and another publisher has never published."""
+    with virtual_loop() as loop:
+        world = World(loop, 1)
+        world.near.new_writer(1)
+        world.near.publish(world.near.new_writer(1))
+        world.wait(2.0)
+        world.route.resends = 2**63 - 1
+        world.route.restart_near()
+        world.wait(8.0)
+        assert world.route.resends == 2**63 - 1
+        world.wait(30.0)
+        assert world.route.resends == 0
+        assert world.far.late_joiner() == world.near_late_joiner() == [b"writer 1 1"]
+
+
 def test_killed_before_a_restart_is_withdrawn_too() -> None:
     with virtual_loop() as loop:
         world = World(loop, 1)
