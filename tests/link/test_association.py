@@ -50,7 +50,7 @@ def again(association: Association, count: int) -> tuple[ControlMessageBase, ...
     """Return what a peer lacks that has handled so many messages."""
     event: Any = SimpleNamespace(peer=SimpleNamespace(handled=count), keys=None)
     association.take_up(count)
-    return tuple(decode(each.content) for each in association.resume(MagicMock(), event))  # type: ignore[misc]
+    return tuple(decode(each.content) for each in association.resume(MagicMock(), event))
 
 
 def test_what_the_peer_has_not_handled_is_sent_again() -> None:
@@ -61,6 +61,12 @@ def test_what_the_peer_has_not_handled_is_sent_again() -> None:
     keep(association, more := Neighbours(bridges=("there",)))
     assert again(association, 3) == (*messages[3:], more)
     assert again(association, 6) == ()
+
+
+def test_messages_sent_while_it_resumes_are_sent_again() -> None:
+    association = association_of()
+    association.channels.resume = lambda *_: keep(association, Settled(9))  # type: ignore[method-assign]
+    assert again(association, 0) == (Settled(9),)
 
 
 def test_what_belongs_to_a_connection_does_not_count() -> None:

@@ -201,6 +201,14 @@ async def test_peer_whose_messages_wait_here_is_not_silent(loop: VirtualLoop) ->
     assert not stream.paused
 
 
+async def test_ended_connection_handles_nothing(loop: VirtualLoop) -> None:
+    handled: list[object] = []
+    channel, _ = receives([], handled.append)
+    channel.broken("a wrong number in the handshake")
+    channel.receive([MessageReceived(encode(Ping(1, 0)))])
+    assert not handled
+
+
 def test_reported_routes_have_limit_of_link() -> None:
     decode(encode(long_report()))
     with pytest.raises(ProtocolError):

@@ -59,6 +59,13 @@ def test_every_field_is_documented_and_no_other(name: str) -> None:
     assert documented_fields(_section(3))[name] == {field.name for field in msgspec.structs.fields(STRUCTS[name])}
 
 
+def test_messages_that_do_not_count_are_documented() -> None:
+    (listed,) = re.findall(r"handled to their end, except (.*?), which belong to a connection", DOCUMENT, re.DOTALL)
+    types = typing.get_args(messages.ControlMessage)
+    of_connection = {each.__name__ for each in types if issubclass(each, messages.ConnectionMessage)}
+    assert set(re.split(r",\s+|\s+and\s+", listed)) == of_connection
+
+
 @pytest.mark.parametrize("kind", list(preamble.PreambleKind))
 def test_every_preamble_frame_is_documented(kind: preamble.PreambleKind) -> None:
     assert re.search(rf"^\| {kind.value} {kind.name} \| (client|server) \|", DOCUMENT, re.MULTILINE)

@@ -12,7 +12,7 @@ from itertools import islice
 from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.wire.framing import CONTROL_LIMIT
-from rsb_bridge.wire.messages import OF_CONNECTION, Propose
+from rsb_bridge.wire.messages import ConnectionMessage, Propose
 from rsb_bridge.wire.protocol_error import Broken, ProtocolError
 
 if TYPE_CHECKING:
@@ -89,9 +89,8 @@ class Association:
     def resume(self, control: ControlChannel, event: Established) -> Sequence[UnhandledMessage]:
         """Resume on another connection, and return what the peer lacks."""
         self._stop_waiting()
-        again = tuple(self._waiting)
-        self.channels.resume(control, event.keys, [each.proposes for each in again if each.proposes])
-        return again
+        self.channels.resume(control, event.keys, [each.proposes for each in self._waiting if each.proposes])
+        return tuple(self._waiting)  # with what has been sent since the line before began
 
     def end(self) -> None:
         self._stop_waiting()
@@ -115,7 +114,7 @@ class Association:
         Args:
             content: the message as it is encoded.
         """
-        if self.is_over or isinstance(message, OF_CONNECTION):
+        if self.is_over or isinstance(message, ConnectionMessage):
             return
         self._waiting.append(UnhandledMessage(content, message.route if isinstance(message, Propose) else 0))
         self._bytes += len(content)
@@ -123,9 +122,9 @@ class Association:
             self.is_over = True
             self._waiting.clear()
 
-    def handles(self, message_type: type) -> None:
+    def handles(self, message_type: type[ControlMessageBase]) -> None:
         """Count a message of the peer, which has been handled."""
-        if not issubclass(message_type, OF_CONNECTION):
+        if not issubclass(message_type, ConnectionMessage):
             self.handled += 1
 
     def could_have_handled(self, count: int) -> bool:
@@ -147,7 +146,7 @@ class Association:
                 next connection would be others on each side.
         """
         if not self.is_over and not self._could_go_on_from(count):
-            raise ProtocolError(Broken.HANDLED_WRONG(count=count))
+            raise self._wrong(count)
         self.acknowledge(count)
 
     def acknowledge(self, count: int) -> None:
@@ -159,7 +158,11 @@ class Association:
         if self.is_over:
             return
         if not self.could_have_handled(count):
-            raise ProtocolError(Broken.HANDLED_WRONG(count=count))
+            raise self._wrong(count)
         for _ in range(count - self.acknowledged):
             self._bytes -= len(self._waiting.popleft().content)
         self.acknowledged = count
+
+    def _wrong(self, count: int) -> ProtocolError:
+        sent = self.acknowledged + len(self._waiting)
+        return ProtocolError(Broken.HANDLED_WRONG(count=count, sent=sent, acknowledged=self.acknowledged))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
 
 import msgspec
 
@@ -76,6 +76,13 @@ def entries_in_slices(entries: Iterable[tuple[_E, int]], work: Callable[[_E], No
     return count
 
 
+class _Unfinished(NamedTuple):
+    """The rest of a message's work."""
+
+    message_type: type[ControlMessageBase]
+    slices: Slices
+
+
 _NO_GOODBYE = (
     "the other side closed the connection without a goodbye: check whether its process or machine has died, "
     "or hears nothing from this side"
@@ -102,7 +109,7 @@ class ControlChannel(StreamHandler):
         connection: ClientConnection | ServerConnection,
         handlers: Mapping[type, Callable[[Any], Slices | None]],
         lost: Callable[[str, EventCode], None],
-        handled: Callable[[type], None],
+        handled: Callable[[type[ControlMessageBase]], None],
     ) -> None:
         self.stream = stream
         self.is_fault = False
@@ -119,8 +126,7 @@ class ControlChannel(StreamHandler):
         self._allowance = TokenBucket(_MESSAGES, _MESSAGES_A_SECOND, now)
         self._volume = TokenBucket(_BYTES, _BYTES_A_SECOND, now)
         self._entries = TokenBucket(_ENTRIES, _ENTRIES_A_SECOND, now)
-        self._work: Slices | None = None  # the rest of the newest message
-        self._newest: type = object  # that of the newest message
+        self._work: _Unfinished | None = None  # of the newest message
         self._owes = False  # more came than the volume allows
         stream.handler = self
 
@@ -177,6 +183,8 @@ class ControlChannel(StreamHandler):
 
     def receive(self, events: list[Event]) -> None:
         """Handle events, a few at a time; reading pauses until all are handled."""
+        if self.over:  # the link has not taken the connection, with whose last handshake message these came
+            return
         waits = self._waits
         self._events.extend(events)
         if not waits:  # else `_go_on` is due, and these come after the earlier ones
@@ -217,13 +225,13 @@ class ControlChannel(StreamHandler):
             self.stream.pause_reading()
             self._loop.call_later(max(0.0, delay), self._go_on)  # even at once: other links have their turn before
 
-    def _do_slice(self, work: Slices, now: float) -> int:
+    def _do_slice(self, work: _Unfinished, now: float) -> int:
         """Do one slice of a message's work; return how many entries that had."""
         try:
-            entries = next(work)
+            entries = next(work.slices)
         except StopIteration as end:
             self._work = None
-            self._handled(self._newest)
+            self._handled(work.message_type)
             entries = int(end.value)
         except ProtocolError as error:
             self._work = None
@@ -251,10 +259,11 @@ class ControlChannel(StreamHandler):
                 except ProtocolError as error:
                     self.broken(error)
                     return 1
-                self._newest = type(message)
-                self._work = self._handlers[self._newest](message)
-                if self._work is None:
-                    self._handled(self._newest)
+                message_type = type(message)
+                if (slices := self._handlers[message_type](message)) is None:
+                    self._handled(message_type)
+                else:
+                    self._work = _Unfinished(message_type, slices)
                 endpoints = len(message.sources) if isinstance(message, Describe) else 1
                 return endpoints + len(content) // _BYTES_A_UNIT
             case DataFrame(frame):

@@ -12,7 +12,15 @@ from msgspec import Meta, Raw
 from rsb_bridge.installed_features import added
 from rsb_bridge.model.limits import ROUTES_PER_LINK
 from rsb_bridge.wire.framing import CONTROL_LIMIT
-from rsb_bridge.wire.messages import ControlMessage, ControlMessageBase, Hello, Report, UrgentMessage, Welcome
+from rsb_bridge.wire.messages import (
+    ConnectionMessage,
+    ControlMessage,
+    ControlMessageBase,
+    Hello,
+    Report,
+    UrgentMessage,
+    Welcome,
+)
 from rsb_bridge.wire.protocol_error import Broken, ProtocolError
 from rsb_bridge.wire.records import (
     PRINTABLE,
@@ -30,7 +38,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
 _E = TypeVar("_E")
-_LongDecoder: TypeAlias = "msgspec.msgpack.Decoder[ControlMessageBase | ReportParts]"
 _T = TypeVar("_T")
 ReportEntry: TypeAlias = SentReport | ReceivedReport | CallsReport | SentCounts | ReceivedCounts
 _Entries: TypeAlias = Annotated[tuple[Raw, ...], Meta(max_length=ROUTES_PER_LINK)]
@@ -41,7 +48,7 @@ MOST_TOPICS = 4000
 _NOT_PRINTABLE = f"matching regex {PRINTABLE!r}"
 
 
-class ReportParts(msgspec.Struct, frozen=True, tag_field="message", tag="report"):
+class ReportParts(ConnectionMessage, frozen=True, tag="report"):
     """A `rsb_bridge.wire.messages.Report` whose entries are not decoded."""
 
     sent: _Entries = ()
@@ -134,9 +141,7 @@ def control_messages() -> tuple[type[ControlMessageBase], ...]:
 
 
 @cache
-def decoders() -> tuple[
-    msgspec.msgpack.Decoder[ControlMessageBase], msgspec.msgpack.Decoder[ControlMessageBase | ReportParts]
-]:
+def decoders() -> tuple[msgspec.msgpack.Decoder[ControlMessageBase], msgspec.msgpack.Decoder[ControlMessageBase]]:
     """Return the decoders of short and of long control messages. Two threads must not make them at the same time.
 
     Each fills in what msgspec keeps of the messages' types, and msgspec 0.22 has no lock for that.
@@ -151,7 +156,7 @@ def encode(message: ControlMessageBase) -> bytes:
     return _encoder.encode(message)
 
 
-def decode(data: bytes) -> ControlMessageBase | ReportParts:
+def decode(data: bytes) -> ControlMessageBase:
     """Return a control message from msgpack. Entries of a long report are decoded later.
 
     Raises:

@@ -58,6 +58,10 @@ class ControlMessageBase(msgspec.Struct, frozen=True, tag_field="message", tag=s
     """One control message: a msgpack map whose `message` is the type's name in lower case."""
 
 
+class ConnectionMessage(ControlMessageBase, frozen=True):
+    """A message that means nothing on another connection than its own, or that is asked for or sent anew there."""
+
+
 class Hello(ControlMessageBase, frozen=True):
     """The client, in the handshake."""
 
@@ -233,16 +237,16 @@ class Close(ControlMessageBase, frozen=True):
     who: Name = ""  # the operator who has removed it, or empty if unknown
 
 
-class Ping(ControlMessageBase, frozen=True):
+class Ping(ConnectionMessage, frozen=True):
     """A question of either side: whether the peer is alive, and its time."""
 
     n: Count
     sent: Nanoseconds  # ns since the epoch on the sender's clock
     handled: Count = 0
-    """Control messages of this association that the sender has handled, without those in `OF_CONNECTION`."""
+    """Control messages of this association that the sender has handled, without each `ConnectionMessage`."""
 
 
-class Pong(ControlMessageBase, frozen=True):
+class Pong(ConnectionMessage, frozen=True):
     """The answer to a `Ping`: the first three of an exchange's four times (RFC 5905, section 8)."""
 
     n: Count
@@ -254,7 +258,7 @@ class Pong(ControlMessageBase, frozen=True):
     messages."""
 
 
-class Report(ControlMessageBase, frozen=True):
+class Report(ConnectionMessage, frozen=True):
     """Either side: what has changed of its routes, once a second."""
 
     sent: tuple[SentReport, ...] = ()  # of the routes that it sends on
@@ -266,7 +270,7 @@ class Report(ControlMessageBase, frozen=True):
     path: PathRecord | None = None  # what the path loses in the direction of the message, or None if unchanged
 
 
-class Duplicate(ControlMessageBase, frozen=True):
+class Duplicate(ConnectionMessage, frozen=True):
     """The server: a second client has the name and the key of this one, and is refused."""
 
     address: Name = ""  # the second client's, or empty once it no longer tries
@@ -274,7 +278,7 @@ class Duplicate(ControlMessageBase, frozen=True):
     others: Count = 0  # number of further such clients, as far as the server counts
 
 
-class Shutdown(ControlMessageBase, frozen=True):
+class Shutdown(ConnectionMessage, frozen=True):
     """Either side: this link ends on purpose."""
 
     reason: Reason
@@ -282,7 +286,7 @@ class Shutdown(ControlMessageBase, frozen=True):
     """s until the client may call again, or None if an operator has shut the link down."""
 
 
-class ListTopics(ControlMessageBase, frozen=True):
+class ListTopics(ConnectionMessage, frozen=True):
     """Either side asks for the topics, services and the like of the peer's graph.
 
     Answered by a `TopicList` with the same request number.
@@ -291,20 +295,20 @@ class ListTopics(ControlMessageBase, frozen=True):
     request: Count
 
 
-class TopicList(ControlMessageBase, frozen=True):
+class TopicList(ConnectionMessage, frozen=True):
     """The answer to `ListTopics`."""
 
     request: Count
     topics: Annotated[bytes, Meta(max_length=CONTROL_LIMIT)]  # the entries (`rsb_bridge.wire.codec.pack_topics`)
 
 
-class AskType(ControlMessageBase, frozen=True):
+class AskType(ConnectionMessage, frozen=True):
     """Either side asks for the descriptions of a route's types. Answered by a `TypeText`."""
 
     route: RouteId
 
 
-class TypeText(ControlMessageBase, frozen=True):
+class TypeText(ConnectionMessage, frozen=True):
     """The answer to `AskType`."""
 
     route: RouteId
@@ -448,7 +452,7 @@ MOST_RECEIPTS = 500  # entries of each list in one message
 _Counts: TypeAlias = Annotated[tuple[tuple[Count, Count], ...], Meta(max_length=MOST_RECEIPTS)]
 
 
-class Receipts(ControlMessageBase, frozen=True, omit_defaults=True):
+class Receipts(ConnectionMessage, frozen=True, omit_defaults=True):
     """Receipts for data streams, from either side. An entry for a stream that is over is ignored."""
 
     received: _Counts = ()  # numbers of streams with the bytes that the sender of the message has received on them
@@ -492,7 +496,7 @@ class Followed(ControlMessageBase, frozen=True):
     more: Count = 0  # number of further matches that the message leaves out
 
 
-class AskMeant(ControlMessageBase, frozen=True):
+class AskMeant(ConnectionMessage, frozen=True):
     """Either side asks for a topic of the peer's graph that a pattern may mean. Answered by `MeantTopic`."""
 
     number: Count  # of this question among its sender's
@@ -500,14 +504,14 @@ class AskMeant(ControlMessageBase, frozen=True):
     matching: bool = False  # whether a topic that it matches is sought, or else a similar one only
 
 
-class MeantTopic(ControlMessageBase, frozen=True):
+class MeantTopic(ConnectionMessage, frozen=True):
     """The answer to `AskMeant`."""
 
     number: Count
     topic: Name = ""  # that nodes publish there, or empty
 
 
-class Lease(ControlMessageBase, frozen=True):
+class Lease(ConnectionMessage, frozen=True):
     """A number from either side, sent several times a second while a route is armed or an operator asks for that."""
 
     number: LeaseNumber  # of this message among its sender's, counting up
@@ -535,8 +539,3 @@ ControlMessage: TypeAlias = (
     | Report | Receipts | ListTopics | TopicList | AskType | TypeText | Follow | Followed | AskMeant | MeantTopic
     | Duplicate | Shutdown | Unsaved
 )  # fmt: skip
-OF_CONNECTION = (
-    Ping, Pong, Receipts, Lease, Duplicate, Shutdown, Report, ListTopics, TopicList, AskType, TypeText, AskMeant,
-    MeantTopic,
-)  # fmt: skip
-"""Messages that mean nothing on another connection than their own, or that are asked for or sent anew there."""

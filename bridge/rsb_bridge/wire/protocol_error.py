@@ -42,7 +42,10 @@ class Broken(Wording):
     RECEIPT_INVALID = "a receipt of {length} bytes"
     OPERATOR_TOO_SHORT = "an OPERATOR frame ends before its {field}"
     DATA_AGAINST_ROUTE = "data on route {route}, which goes the other way"
-    HANDLED_WRONG = "the peer has handled {count} control messages of this association, and cannot"
+    HANDLED_WRONG = (
+        "the peer has handled {count} control messages of this association, and cannot: this side has sent {sent}, "
+        "and knows that {acknowledged} were handled"
+    )
     RESUMED_WRONG = "route {route} goes on after message {told} on another stream, and cannot"
     FRAME_OF_UNKNOWN_ROUTE = "a frame of type {kind}, route {route} on a stream that does not carry it"
 
