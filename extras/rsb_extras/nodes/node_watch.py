@@ -254,8 +254,8 @@ class NodeWatch:
         known = {name: each.participants for name, each in self._nodes.items()}
         unfound = set()
         if looked and context.now() - self._by_name_at >= _NAMES_EVERY:
-            self._by_name_at = context.now()
             unfound = {name for name, each in self._nodes.items() if not each.machine and each.ended is None}
+            self._by_name_at = context.now() if unfound else self._by_name_at
         with contextlib.suppress(RosError):  # the node has stopped
             # One that has ended and is listed may have come back.
             to_read = sorted(self._to_read, key=lambda name: self._nodes[name].ended is None)
