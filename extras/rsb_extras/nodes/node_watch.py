@@ -322,6 +322,7 @@ class NodeWatch:
             return  # it has ended, and DDS lists it for a while
         if known.ended is None and known.participants and not known.participants & living:
             self._end(name, known, now)  # another one has taken its place meanwhile
+            known = self._nodes.setdefault(name, _Node())  # a tool is forgotten
         if known.ended is not None:
             known.ended, known.lifecycle = None, ""
             known.pid, known.found_by = 0, FoundBy.NOT

@@ -47,6 +47,7 @@ class Graph(NoRos):
 
     def __init__(self) -> None:
         self.nodes: dict[str, NodeEnds] = {LIDAR: SCAN}
+        self.gid = _GID
         self.clients: list[ScriptedClient] = []
         self.ready: set[str] = set()
         self.failure: Exception | None = None
@@ -60,7 +61,7 @@ class Graph(NoRos):
         return self.nodes.get(node, NodeEnds())
 
     def publishers(self, topic: str) -> list[Endpoint]:
-        return [Endpoint(each, "", "", Qos(), _GID) for each, ends in self.nodes.items() if topic in ends.publishes]
+        return [Endpoint(each, "", "", Qos(), self.gid) for each, ends in self.nodes.items() if topic in ends.publishes]
 
     def servers(self, service: str) -> list[Endpoint]:
         if self.failure is not None:
@@ -190,6 +191,16 @@ def test_publisher_of_a_topic_is_the_one_that_runs_or_ended_last(world: World) -
     assert publisher() == "/rear/lidar"
     world.passes(3700)
     assert publisher() == ""
+
+
+def test_tool_that_comes_back_is_another_one(world: World) -> None:
+    world.ros.nodes["/_tool"] = SCAN
+    world.passes(2, changed=True)
+    world.ros.gid = _GID[:6] + bytes([1]) + _GID[7:]
+    world.passes(3, changed=True)
+    node = world.watch.book.nodes["/_tool"]
+    assert (node.ended, node.ends, node.publishes) == (None, 0, 1)
+    assert world.watch.book.nodes[LIDAR].ends == 1
 
 
 def test_end_of_a_silent_publisher_is_found_on_a_thread(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
