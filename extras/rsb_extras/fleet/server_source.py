@@ -118,7 +118,7 @@ class RobotEngine(RemoteEngine):
     def do(self, command: Command[R], step: Callable[[str], None] | None = None) -> Future[R]:
         if what := _CONCERNS_ALL.get(type(command)):
             return self._concerns_all(what)
-        if command.is_of_links and not command.link:  # type: ignore[attr-defined]  # it has one then
+        if command.is_of_links and command.link == "":  # type: ignore[attr-defined]  # it has one then; None is this side
             command = msgspec.structs.replace(command, link=self._robot)
         return super().do(command, step)
 

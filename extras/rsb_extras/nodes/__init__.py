@@ -58,14 +58,26 @@ class NodesFeature(Feature):
         bridge_options(parser, complete)
 
     def actions(self) -> Iterable[Action]:
-        from rsb_console.feature_console import Action, Group, late  # noqa: PLC0415
+        from rsb_console.feature_console import Action, Group, KeyChapter, late  # noqa: PLC0415
 
+        chapters = (
+            KeyChapter(
+                "Nodes (O)", "NodesScreen",
+                (
+                    ("⏎", "Open the node's page; on a namespace, fold or unfold it"),
+                    ("t", "Show its topics in the table of topics"),
+                    ("/ f", "Filter by name, machine, state and line; faults only"),
+                    ("s", "Go on to the next side"),
+                    ("esc", "Drop the filters, then close"),
+                ),
+            ),
+        )  # fmt: skip
         return (
             Action(
                 "nodes", "O", "nodes", "Show the other side's nodes: what runs there, and what has ended",
                 Group.SESSION, also="processes lifecycle rosout died crashed",
                 run=late("rsb_extras.nodes.nodes_screen:show_nodes"),
-                on_link=late("rsb_extras.nodes.nodes_screen:nodes_of_link"), after="links",
+                on_link=late("rsb_extras.nodes.nodes_screen:nodes_of_link"), after="links", chapters=chapters,
             ),
         )  # fmt: skip
 

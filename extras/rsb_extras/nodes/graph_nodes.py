@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections import Counter, defaultdict
 from typing import TYPE_CHECKING, NamedTuple
 
+from rsb_bridge.feature_api import RosError
 from rsb_bridge.model.names import is_bridge
+from rsb_bridge.ros.ros_interface import NodeEnds
 from rsb_extras.nodes.node_data import MOST_NODES
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
 
-    from rsb_bridge.ros.ros_interface import NodeEnds, RosInterface
+    from rsb_bridge.ros.ros_interface import RosInterface
 
 ROSOUT = "/rosout"
 _OF_MOST_NODES = (ROSOUT, "/parameter_events")
@@ -51,7 +54,7 @@ def node_names(ros: RosInterface) -> Counter[str]:
 
 
 def read_nodes(ros: RosInterface, names: Collection[str]) -> GraphNodes:
-    """Read nodes by their names."""
+    """Read nodes by their names. Those whose names ROS does not take have no endpoints."""
     participants: defaultdict[str, set[bytes]] = defaultdict(set)
     log_publishers, log_hash = {}, ""
     for topic in _OF_MOST_NODES:
@@ -62,9 +65,11 @@ def read_nodes(ros: RosInterface, names: Collection[str]) -> GraphNodes:
                 log_hash = log_hash or end.type_hash
     found = {}
     for name in names:
-        ends = ros.ends_of(name)
-        if name not in participants:  # its log is off, and it has no parameters
-            participants[name] |= _participants_of(ros, name, ends)
+        ends = NodeEnds()
+        with contextlib.suppress(RosError):  # a program without ROS may have any name, such as a-b
+            ends = ros.ends_of(name)
+            if name not in participants:  # its log is off, and it has no parameters
+                participants[name] |= _participants_of(ros, name, ends)
         found[name] = GraphNode(ends, frozenset(participants[name]))
     return GraphNodes(found, log_publishers, log_hash)
 

@@ -49,7 +49,7 @@ class LifecycleStates:
         self._context = context
         self._told = told
         self._managed: dict[str, _Managed] = {}
-        self._opening: set[str] = set()
+        self._opening: dict[str, asyncio.Task[None]] = {}
 
     def ask(self, nodes: Collection[str]) -> None:
         """Ask some of the managed nodes, by their names. To be called once a second."""
@@ -57,8 +57,7 @@ class LifecycleStates:
             self._managed.pop(name).client.close()
         new = [name for name in nodes if name not in self._managed and name not in self._opening]
         for name in new[: min(_AT_ONCE, max(0, _MOST - len(self._managed) - len(self._opening)))]:
-            self._opening.add(name)
-            self._context.loop.create_task(self._open(name))
+            self._opening[name] = self._context.loop.create_task(self._open(name))
         now = self._context.now()
         due = sorted(
             (each.asked_at, name) for name, each in self._managed.items() if now - each.asked_at > _ASKED_EVERY
@@ -71,26 +70,33 @@ class LifecycleStates:
         for each in self._managed.values():
             each.client.close()
         self._managed = {}
-        self._opening = set()
+        for opening in self._opening.values():
+            opening.cancel()
+        self._opening = {}
 
     async def _open(self, name: str) -> None:
         context = self._context
-        with contextlib.suppress(RosError):  # it has gone, or its type is not usable here: its state stays unknown
+        try:
             servers = await asyncio.to_thread(context.ros.servers, name + SERVICE)
-            if name in self._opening and servers and servers[0].type_name == TYPE:
+            if servers and servers[0].type_name == TYPE:
                 take = partial(self._answered, name)
                 client = context.ros.call_service(
                     name + SERVICE, TYPE, servers[0].type_hash, lambda answers: context.call(partial(take, answers))
                 )
                 self._managed[name] = _Managed(client)
-        self._opening.discard(name)
+        except RosError:
+            pass  # it has gone, or its type is not usable here: its state stays unknown
+        finally:
+            if self._opening.get(name) is asyncio.current_task():  # else it is closed, and perhaps opened again
+                del self._opening[name]
 
     def _ask(self, name: str, now: float) -> None:
         managed = self._managed[name]
         if managed.is_waiting:
             self._told(name, NO_ANSWER)
+        managed.asked_at = now  # also if it is not ready: it must not keep the others waiting
         if managed.client.ready:
-            managed.asked_at, managed.is_waiting = now, True
+            managed.is_waiting = True
             with contextlib.suppress(RosError):
                 managed.client.call(_REQUEST)
 

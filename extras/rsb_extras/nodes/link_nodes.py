@@ -28,6 +28,7 @@ from rsb_extras.nodes.node_watch import LOOKED_FOR, NodeWatch
 if TYPE_CHECKING:
     from collections.abc import Generator
 
+    from rsb_bridge.config.rights import Rights
     from rsb_bridge.feature_api import Link, Route
     from rsb_bridge.model.session import Kind
 
@@ -150,14 +151,14 @@ class LinkNodes(Extension):
     # --- what the peer looks at
 
     def _asked(self, question: AskNodes) -> None:
-        self._watch.look()
         self._lists.answer(question.request, lambda: self._list(question))
 
     async def _list(self, question: AskNodes) -> NodesNews:
-        await self._watch.ready()
         context = self._link.context
-        now = context.now()
-        found = NodeChanges(0, 0, True, round(now), why_not=self._not_shown)
+        if not self._not_shown:
+            self._watch.look()
+            await self._watch.ready()
+        found = NodeChanges(0, 0, True, round(context.now()), why_not=self._not_shown)
         if not found.why_not:
             found = self._watch.book.changes(
                 question.book, question.since, found.now, lambda size: self._allowance.take(size, context.now())
@@ -168,20 +169,19 @@ class LinkNodes(Extension):
         return NodesNews(question.request, _packed(found))
 
     def _asked_one(self, question: AskNode) -> None:
-        self._watch.look()
         self._ones.answer(question.request, lambda: self._one(question))
 
     async def _one(self, question: AskNode) -> NodeTold:
-        await self._watch.ready()
         found = NodeDetails(round(self._link.context.now()))
-        if not self._not_shown:
+        if not self._not_shown and (question.node or self._rights.shows(question.topic)):
+            self._watch.look()
+            await self._watch.ready()
             found = self._for_peer(self._watch.details(question.node, question.topic))
         return NodeTold(question.request, _packed(found))
 
     def _for_peer(self, details: NodeDetails) -> NodeDetails:
         """Leave out what the peer may not know."""
-        # A client's own list says what the server may call there, and not what it may know of.
-        rights = as_if_listed(self._link.end.rights)
+        rights = self._rights
         kinds: dict[str, Kind] = {"publishes": "topic", "hears": "topic", "serves": "service", "calls": "service"}
         every = {name: getattr(details, name) for name in kinds}
         shown = {
@@ -192,6 +192,12 @@ class LinkNodes(Extension):
         if self._shows_lines or details.state is None:
             return details
         return msgspec.structs.replace(details, lines=(), state=msgspec.structs.replace(details.state, line=None))
+
+    @property
+    def _rights(self) -> Rights:
+        """The peer's rights to know of names."""
+        # A client's own list says what the server may call there, and not what it may know of.
+        return as_if_listed(self._link.end.rights)
 
     @property
     def _not_shown(self) -> str:
@@ -228,7 +234,8 @@ class LinkNodes(Extension):
     # --- why a topic does not flow
 
     def _explain(self, route: Route, verdict: Verdict) -> Verdict | None:
-        if not route.outgoing:
+        # The text goes to the peer, too, with the verdict.
+        if not route.outgoing or self._not_shown:
             return None
         if verdict.cause in _NOBODY:
             ended = self._watch.ended_publisher(route.local_topic)

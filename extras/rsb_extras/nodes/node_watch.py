@@ -37,7 +37,7 @@ from rsb_extras.nodes.node_data import (
 from rsb_extras.nodes.node_processes import NodeProcesses
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Coroutine, Mapping, Sequence
 
     from rsb_bridge.feature_api import Context, Endpoint, RawMessage
     from rsb_bridge.ros.ros_interface import Subscription
@@ -50,6 +50,8 @@ _FIGURES_EVERY = 2.0
 _NAMES_EVERY = 10.0  # s between two searches for processes by name: each reads all command lines
 _MOST_ENDED = 200
 _MOST_WAITING = 1000  # lines of /rosout between two turns of the loop
+_MOST_PARTS = 16
+"""Parts of a logger's name in which its node is looked for: the name is any text."""
 _LINES = Qos(durability="transient_local", depth=1000)
 """As nodes publish /rosout: who begins to look gets what they have kept, of the last 10 s."""
 _OF_EVERY_NODE = frozenset(
@@ -130,18 +132,22 @@ class NodeWatch:
         self.book: Final = NodeBook(context.wall_ns() >> 16)
         self._context = context
         self._nodes: dict[str, _Node] = {}
+        self._publishers: dict[str, set[str]] = {}  # nodes by topics, those that have ended, too
         self._changes = -1
         self._to_read: dict[str, None] = {}
         self._reading: asyncio.Task[None] | None = None
         self._first = asyncio.Event()
         self._looked_until = float("-inf")
         self._processes: NodeProcesses | None = None
+        self._gone: set[bytes] = set()  # participants whose processes have ended, though DDS may list them
+        self._suspects: set[bytes] = set()  # those of silent publishers
         self._figures_at = self._by_name_at = float("-inf")
         self._lifecycle = LifecycleStates(context, self._state_told)
         self._logs: Subscription | None = None
         self._log_publishers: dict[bytes, str] = {}
         self._log_hash = ""
         self._waiting: deque[tuple[bytes, Logged]] = deque(maxlen=_MOST_WAITING)
+        self._is_to_take = False  # whether the loop will take them
 
     # --- looks
 
@@ -178,19 +184,19 @@ class NodeWatch:
         return None if known is None or known.ended is None else self._ended(name, known, known.ended)
 
     def ended_node(self, endpoints: Sequence[Endpoint]) -> EndedNode | None:
-        """Return the node of endpoints that DDS still lists, though all their processes have ended, or None."""
-        processes = self._processes
-        if processes is None or not endpoints:
+        """Return the node of endpoints that DDS still lists, though all their processes have ended, or None.
+
+        An end that is not known yet is found within a second or two, on a thread.
+        """
+        if not endpoints:
             return None
-        if not all(processes.has_ended(each.gid[:PARTICIPANT]) for each in endpoints):
+        participants = {each.gid[:PARTICIPANT] for each in endpoints}
+        if not participants <= self._gone:
+            self._suspects |= participants
             return None
         name = endpoints[0].node
         known = self._nodes.get(name)
-        if known is None:
-            return None
-        if known.ended is None:
-            self._end(name, known, self._context.now())
-        return None if known.ended is None else self._ended(name, known, known.ended)
+        return None if known is None or known.ended is None else self._ended(name, known, known.ended)
 
     # --- once a second
 
@@ -203,13 +209,15 @@ class NodeWatch:
         if changes != self._changes:
             self._changes = changes
             self._to_read |= dict.fromkeys(self._nodes)
-            self._read_soon()
+            self._soon(self._read)
         elif self._to_read or (self.is_looked_at and self._context.now() - self._figures_at >= _FIGURES_EVERY):
-            self._read_soon()
+            self._soon(self._read)
+        elif self._suspects:
+            self._soon(self._find_ends)
         self._forget()
         if self.is_looked_at:
             self._lifecycle.ask(self._managed())
-        elif any(each.lifecycle for each in self._nodes.values()):
+        else:
             self._lifecycle.close()
             for name, each in self._nodes.items():
                 self._state_told(name, "") if each.lifecycle else None
@@ -223,9 +231,19 @@ class NodeWatch:
 
     # --- the graph and its processes
 
-    def _read_soon(self) -> None:
+    def _soon(self, work: Callable[[], Coroutine[None, None, None]]) -> None:
         if self._reading is None or self._reading.done():
-            self._reading = self._context.loop.create_task(self._read())
+            self._reading = self._context.loop.create_task(work())
+
+    async def _find_ends(self) -> None:
+        """Look whether the processes of silent publishers have ended."""
+        suspects, self._suspects = self._suspects, set()
+        if (processes := self._processes) is None:
+            return
+        self._gone |= await asyncio.to_thread(lambda: {each for each in suspects if processes.has_ended(each)})
+        for name, known in tuple(self._nodes.items()):
+            if known.participants and known.participants <= self._gone:
+                self._end(name, known, self._context.now())
 
     async def _read(self) -> None:
         context = self._context
@@ -236,8 +254,8 @@ class NodeWatch:
         known = {name: each.participants for name, each in self._nodes.items()}
         unfound = set()
         if looked and context.now() - self._by_name_at >= _NAMES_EVERY:
-            self._by_name_at = context.now()
             unfound = {name for name, each in self._nodes.items() if not each.machine and each.ended is None}
+            self._by_name_at = context.now() if unfound else self._by_name_at
         with contextlib.suppress(RosError):  # the node has stopped
             # One that has ended and is listed may have come back.
             to_read = sorted(self._to_read, key=lambda name: self._nodes[name].ended is None)
@@ -266,11 +284,15 @@ class NodeWatch:
         if processes is not None:
             for each in participants:
                 found[each] = processes.machine_of(each), processes.pid_of(each), processes.has_ended(each)
-        by_name = processes.pid_by_name(unfound) if unfound and processes is not None else {}
+        by_name: dict[str, int] = {}
+        if unfound and processes is not None:
+            by_name = dict.fromkeys(unfound, 0) | processes.pid_by_name(unfound)
         return _Read(names, nodes, found, by_name)
 
     def _take(self, read: _Read) -> None:
         now = self._context.now()
+        gone = {each for each, (_, _, ended) in read.found.items() if ended}
+        self._gone = gone if len(self._gone) > 4 * MOST_NODES else self._gone | gone
         self._log_publishers |= read.nodes.log_publishers
         if len(self._log_publishers) > 2 * MOST_NODES:
             self._log_publishers = dict(read.nodes.log_publishers)
@@ -289,8 +311,8 @@ class NodeWatch:
             else:
                 self._take_process(name, known, read, now)
         for name, pid in read.by_name.items():
-            if (known_ := self._nodes.get(name)) is not None:
-                known_.pid, known_.found_by = pid, FoundBy.NAME
+            if (known_ := self._nodes.get(name)) is not None and known_.ended is None and not known_.machine:
+                known_.pid, known_.found_by = pid, FoundBy.NAME if pid else FoundBy.NOT
                 self._show(name)
 
     def _take_node(self, name: str, node: GraphNode, read: _Read, now: float) -> None:
@@ -300,9 +322,12 @@ class NodeWatch:
             return  # it has ended, and DDS lists it for a while
         if known.ended is None and known.participants and not known.participants & living:
             self._end(name, known, now)  # another one has taken its place meanwhile
+            known = self._nodes.setdefault(name, _Node())  # a tool is forgotten
         if known.ended is not None:
             known.ended, known.lifecycle = None, ""
+            known.pid, known.found_by = 0, FoundBy.NOT
         if any(node.ends) or known.ends is None:
+            self._index(name, known.ends, node.ends)
             known.ends = node.ends
         known.participants = frozenset(living)
         # Without those that have ended, and that DDS lists for a while.
@@ -316,8 +341,10 @@ class NodeWatch:
         alive = [each for each in found if not each[2]]
         if alive:
             known.machine = next((machine for machine, _, _ in alive if machine), "")
-            known.pid = next((pid for _, pid, _ in alive if pid), 0)
-            known.found_by = FoundBy.GUID if known.pid else FoundBy.NOT
+            if pid := next((pid for _, pid, _ in alive if pid), 0):
+                known.pid, known.found_by = pid, FoundBy.GUID
+            elif known.found_by is not FoundBy.NAME:  # whose end its figures show
+                known.pid, known.found_by = 0, FoundBy.NOT
         if known.ended is None:
             self._show(name)
 
@@ -339,6 +366,10 @@ class NodeWatch:
                 self.book.put(msgspec.structs.replace(now, since=since))
         for pid in [pid for pid in self.book.processes if pid not in pids or pid not in found]:
             self.book.drop(pid)
+        for name, each in self._nodes.items():
+            if each.found_by is FoundBy.NAME and each.ended is None and each.pid in pids and each.pid not in found:
+                each.pid, each.found_by = 0, FoundBy.NOT
+                self._show(name)
 
     def _forget(self) -> None:
         """Forget nodes that have ended long ago, or before many others."""
@@ -354,9 +385,18 @@ class NodeWatch:
                 self._show(name)
 
     def _drop(self, name: str) -> None:
-        del self._nodes[name]
+        self._index(name, self._nodes.pop(name).ends, None)
         self._to_read.pop(name, None)
         self.book.drop(name)
+
+    def _index(self, name: str, before: NodeEnds | None, now: NodeEnds | None) -> None:
+        """Note which topics a node publishes, and no longer those that it did before."""
+        for topic in before.publishes if before is not None else ():
+            self._publishers[topic].discard(name)
+            if not self._publishers[topic]:
+                del self._publishers[topic]
+        for topic in now.publishes if now is not None else ():
+            self._publishers.setdefault(topic, set()).add(name)
 
     def _show(self, name: str) -> None:
         self.book.put(self._nodes[name].state(name))
@@ -396,11 +436,13 @@ class NodeWatch:
     def _logged(self, batch: Sequence[RawMessage]) -> None:  # on the ROS thread
         lines = [(each.gid, line) for each in batch if (line := read_log(each.payload)) is not None]
         if lines:
-            if not self._waiting:
+            self._waiting.extend(lines)  # before the look at what the loop does: it may end with taking them
+            if not self._is_to_take:
+                self._is_to_take = True
                 self._context.call(self._take_lines)
-            self._waiting.extend(lines)
 
     def _take_lines(self) -> None:
+        self._is_to_take = False
         now = round(self._context.now())
         changed = set()
         while self._waiting:
@@ -419,18 +461,15 @@ class NodeWatch:
 
     def _by_logger(self, logger: str) -> str:
         """Return the node of a logger, ``namespace.node`` or a child of it, or an empty string."""
-        parts = logger[:1000].split(".")
+        parts = logger[:1000].split(".", _MOST_PARTS)[:_MOST_PARTS]
         names = ("/" + "/".join(parts[:end]) for end in range(len(parts), 0, -1))
         return next((name for name in names if name in self._nodes), "")
 
     def _publisher_of(self, topic: str) -> str:
         """Return a node that publishes a topic, else the one that did and ended last, or an empty string."""
-        found = [
-            (each.ended is None, each.ended or 0.0, name)
-            for name, each in self._nodes.items()
-            if each.ends is not None and topic in each.ends.publishes
-        ]
-        return max(found)[2] if found else ""
+        found = [(self._nodes[name], name) for name in self._publishers.get(topic, ())]
+        latest = max(((node.ended is None, node.ended or 0.0, name) for node, name in found), default=None)
+        return "" if latest is None else latest[2]
 
     def _ended(self, name: str, known: _Node, at: float) -> EndedNode:
         return EndedNode(name, at, known.lines[-1].text if known.lines else "")

@@ -16,6 +16,7 @@ from rsb_console.feature_console import (
     Dialog,
     FixedLines,
     Line,
+    MainScreen,
     Prompt,
     RowFilter,
     ScrolledLines,
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
     from textual.app import ComposeResult
 
     from rsb_bridge.feature_api import LinkSnapshot, RouteSnapshot
-    from rsb_console.feature_console import Console, MainScreen
+    from rsb_console.feature_console import Console
     from rsb_extras.nodes.node_data import NodeDetails, NodeState
 
 _RENEWED_EVERY = 1.0  # s; the bridges ask each other as often
@@ -338,15 +339,25 @@ async def show_nodes(screen: MainScreen) -> None:
     side, topic = (sides[0], "") if route is None else _publishing_side(route)
     found = await console.ask(NodesScreen(console, sides, side, topic))
     if found is not None:
-        screen.filtered = screen.topics
-        screen.topics.pattern = RowFilter(found)
-        screen.topics.relist()
+        _filter_topics(screen, found)
 
 
 async def nodes_of_link(console: Console, link: LinkSnapshot) -> None:
-    """Show the nodes at the other end of a link."""
+    """Show the nodes at the other end of a link. For a node's topics, the list of links gives way to theirs."""
     sides: list[str | None] = [*(each.name for each in console.snapshot().links), None]
-    await console.ask(NodesScreen(console, sides, link.name))
+    nodes = NodesScreen(console, sides, link.name)
+    found = await console.ask(nodes)
+    if found is not None:
+        *_, main, links = nodes.app.screen_stack
+        if isinstance(main, MainScreen):
+            _filter_topics(main, found)
+            links.dismiss(None)
+
+
+def _filter_topics(screen: MainScreen, pattern: str) -> None:
+    screen.filtered = screen.topics
+    screen.topics.pattern = RowFilter(pattern)
+    screen.topics.relist()
 
 
 def _publishing_side(route: RouteSnapshot) -> tuple[str | None, str]:

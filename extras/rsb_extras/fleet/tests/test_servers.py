@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.console.scripted import NOW
@@ -14,6 +14,7 @@ from rsb_bridge.model.robot_summary import RobotState
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Event, Level, State
 from rsb_extras.fleet.tests.servers_helpers import engine, fleet, robot2
+from rsb_extras.nodes.node_data import Nodes
 
 if TYPE_CHECKING:
     from tests.support.control import Machine
@@ -63,6 +64,22 @@ def test_what_is_added_is_added_to_opened_robot(robot2: RobotEngine, engine: Ser
     robot2.retry().result(30)
     robot2.pause("robot2 /scan", True).result(30)
     assert engine.commands == [("add", topic, "robot2"), ("retry", "robot2"), ("pause", "robot2 /scan", True)]
+
+
+def test_this_side_of_opened_robot_is_the_server(
+    robot2: RobotEngine, engine: ServerEngine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[str | None] = []
+    do = engine.do
+
+    def heard(command: Any, step: Any = None) -> Any:
+        asked.append(command.link)
+        return do(command, step)
+
+    monkeypatch.setattr(engine, "do", heard)
+    for link in (None, "", "robot2"):
+        robot2.do(Nodes(link)).result(30)
+    assert asked == [None, "robot2", "robot2"]
 
 
 def test_what_concerns_all_robots_is_refused(robot2: RobotEngine, engine: ServerEngine) -> None:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from tests.console.driving import NARROW, WIDE, gone, on_main, selected_topic, shown, text, until
 
+from rsb_console.screens.links_screen import LinksScreen
 from rsb_extras.nodes.nodes_screen import NodesScreen
 
 if TYPE_CHECKING:
@@ -75,6 +76,23 @@ async def test_topic_leads_to_its_node_and_node_to_its_topics(app: ConsoleApp, p
     await pilot.press("t")
     names = {"/robot1/scan", "/robot2/scan"}  # either may be the node's /scan, with a prefix
     await until(pilot, lambda: {row.topic for row in app.main.topics.listed} == names, "its topics alone")
+
+
+@on_main(WIDE)
+async def test_list_of_links_leads_to_topics_of_a_node(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("c")
+    await until(pilot, lambda: isinstance(app.screen, LinksScreen), "the links")
+    await pilot.press("O")
+    await shown(pilot, "lidar_driver")
+    screen = app.screen
+    assert isinstance(screen, NodesScreen)
+    while screen.table.cursor_key != "/front/lidar_driver":
+        await pilot.press("j")
+    await pilot.press("question_mark")
+    await shown(pilot, "Show its topics in the table of topics")
+    await pilot.press("escape", "t")
+    await until(pilot, lambda: app.screen is app.main, "the table of topics")
+    await until(pilot, lambda: all("scan" in row.topic for row in app.main.topics.listed), "its topics alone")
 
 
 @on_main(NARROW)

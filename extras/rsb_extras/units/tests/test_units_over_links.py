@@ -233,14 +233,17 @@ def _key(engine: Engine) -> str:
 def test_the_end_of_the_bridge_ends_the_command(bridge: Bridge, nav: Supervised) -> None:
     nav.unit = msgspec.structs.replace(nav.unit, start=waiting(nav.folder))
     robot = bridge.client(features=has(("nav", nav)))
+    others = _children()
     robot.do(ControlUnit("nav", "start"))
     eventually(lambda: nav.ran, what="a command that runs")
+    assert _children() - others
     robot.stop()
-    eventually(lambda: not _children(), what="no process of it")
+    eventually(lambda: not _children() - others, what="no process of it")
 
 
-def _children() -> list[int]:
-    return [int(each) for each in Path(f"/proc/self/task/{os.getpid()}/children").read_text().split()]
+def _children() -> set[str]:
+    """Return the processes that any thread of this one has started, those of other tests too."""
+    return {each for thread in Path("/proc/self/task").iterdir() for each in (thread / "children").read_text().split()}
 
 
 def test_an_action_outlives_a_lost_connection(bridge: Bridge, nav: Supervised, relay: Relay) -> None:
