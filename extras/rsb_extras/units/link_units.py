@@ -1,7 +1,7 @@
 """Units over one link: what its peer may see and ask for here, and what this side's operators ask for there.
 
-An action needs a ticket, which comes with the list of units, counts once and for some seconds. So nothing is carried
-out twice, nor because of a request that has waited for a lost link.
+An action needs a ticket, which is asked for just before, counts once and for some seconds. So nothing is carried out
+twice, nor because of a request that has waited for a lost link.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.feature_api import (
     TEXT_LENGTH,
-    AskingExtension,
     ControlMessageBase,
     Count,
+    Extension,
     LinkError,
     Name,
     Questions,
@@ -23,7 +23,7 @@ from rsb_bridge.feature_api import (
     sanitize_text,
 )
 from rsb_extras.units.unit_records import UnitAction, UnitName, UnitOutcome, UnitRecords
-from rsb_extras.units.unit_requests import LONGEST
+from rsb_extras.units.unit_requests import LONGEST, TICKET_WITHIN
 from rsb_extras.units.unit_runner import Asker, UnitRunner
 
 if TYPE_CHECKING:
@@ -32,24 +32,28 @@ if TYPE_CHECKING:
 
 TICKET_LIFE = 5.0
 """s that a ticket counts. A round figure: a link that takes longer for two messages is too slow for such requests."""
-_ANSWERED_WITHIN = 10.0  # s: the other side finds states for 2 s at most
 
 
 class AskUnits(ControlMessageBase, frozen=True):
-    """Asks for the other side's units. Answered by a `UnitAnswer` of the same number."""
-
-    request: Count
-
-
-class UnitAnswer(ControlMessageBase, frozen=True):
-    """A side's units.
+    """Asks for the other side's units, or for a ticket. Answered by a `UnitAnswer` of the same number.
 
     Attributes:
-        ticket: for one `RunUnit`; the tickets before it are void.
+        ticket: whether a ticket is asked for, and no units. Lists take no tickets: each would make another one void.
     """
 
     request: Count
-    ticket: Count
+    ticket: bool = False
+
+
+class UnitAnswer(ControlMessageBase, frozen=True):
+    """A side's units, or a ticket.
+
+    Attributes:
+        ticket: for one `RunUnit`, or 0; the tickets before it are void.
+    """
+
+    request: Count
+    ticket: Count = 0
     units: UnitRecords = ()
 
 
@@ -95,8 +99,12 @@ class _Ticket(NamedTuple):
     association: object
 
 
-class LinkUnits(AskingExtension):
-    """One link's units, in both directions."""
+class LinkUnits(Extension):
+    """One link's units, in both directions.
+
+    Questions and answers that a lost connection takes along are sent on the next one by the association. So nothing is
+    asked again there: a ticket asked for twice would be void.
+    """
 
     def __init__(self, link: Link) -> None:
         self.messages = {
@@ -108,7 +116,7 @@ class LinkUnits(AskingExtension):
         self._link = link
         self._runner = link.context.shared(UnitRunner)
         self._runner.links.add(link)
-        self._questions: Questions[UnitAnswer] = Questions(link, _ANSWERED_WITHIN)
+        self._questions: Questions[UnitAnswer] = Questions(link, TICKET_WITHIN)
         self._request = 0
         self._peer_has = False
         self._given = _Ticket(0, 0.0, None)
@@ -118,7 +126,7 @@ class LinkUnits(AskingExtension):
         self._peer_has = True
 
     def disconnected(self) -> None:
-        super().disconnected()
+        self._questions.disconnected()
         self._peer_has = False
         if self._waits is not None and not self._waits[1].done():
             self._waits[1].set_exception(LinkError(LinkUnitsProblem.LOST()))
@@ -129,10 +137,11 @@ class LinkUnits(AskingExtension):
         self._questions.answer(ask.request, partial(self._answer, ask))
 
     async def _answer(self, ask: AskUnits) -> UnitAnswer:
-        units = await self._runner.records(Asker("", self._link))
+        if not ask.ticket:
+            return UnitAnswer(ask.request, units=await self._runner.records(Asker("", self._link)))
         until = self._link.context.now() + TICKET_LIFE
         self._given = _Ticket(self._given.number + 1, until, self._link.association)
-        return UnitAnswer(ask.request, self._given.number, units)
+        return UnitAnswer(ask.request, self._given.number)
 
     def _run_asked(self, ask: RunUnit) -> None:
         number, until, association = self._given
@@ -158,7 +167,7 @@ class LinkUnits(AskingExtension):
         Raises:
             LinkError: the link is down, or the peer has no such feature or does not answer.
         """
-        return (await self._ask()).units
+        return (await self._ask(ticket=False)).units
 
     async def run(self, unit: str, action: UnitAction) -> UnitOutcome:
         """Have the peer carry out an action; raises as `list_units`."""
@@ -167,7 +176,7 @@ class LinkUnits(AskingExtension):
         done: asyncio.Future[UnitOutcome] = self._link.context.loop.create_future()
         self._waits = 0, done
         try:
-            ticket = (await self._ask()).ticket
+            ticket = (await self._ask(ticket=True)).ticket
             self._waits = ticket, done
             self._link.send(RunUnit(ticket, unit, action, sanitize_text(operator(), TEXT_LENGTH)))
             async with asyncio.timeout(LONGEST):
@@ -179,13 +188,13 @@ class LinkUnits(AskingExtension):
             if done.done() and not done.cancelled():
                 done.exception()  # nobody may have waited for it yet
 
-    async def _ask(self) -> UnitAnswer:
+    async def _ask(self, *, ticket: bool) -> UnitAnswer:
         if not self._link.linked:
             raise LinkError(LinkUnitsProblem.NOT_LINKED(link=self._link.name, reason=self._link.down_reason))
         if not self._peer_has:
             raise LinkError(LinkUnitsProblem.NOT_THERE(link=self._link.name))
         self._request += 1
-        return await self._questions.ask(self._request, AskUnits(self._request))
+        return await self._questions.ask(self._request, AskUnits(self._request, ticket))
 
     def _answered(self, answer: UnitAnswer) -> None:
         self._questions.answered(answer.request, answer)

@@ -41,7 +41,7 @@ class CommandEnd(NamedTuple):
         code: exit code, below 0 a signal's number, or None if it is not over or was not begun.
         was_late: whether it was ended, as its time was over.
         output: the last bytes of what it printed.
-        problem: why it could not be begun, or empty.
+        problem: why it could not be begun, without its name, or empty.
     """
 
     code: int | None = None
@@ -67,7 +67,7 @@ def run_words(words: Sequence[str], seconds: float, clock: Clock, stop: threadin
     """Run a command to its end; call it on a thread.
 
     Args:
-        seconds: time until it gets SIGTERM, with all that it has started.
+        seconds: time until it gets SIGTERM, with what it has started, except in other sessions (setsid).
         stop: ends it earlier.
     """
     try:
@@ -75,8 +75,8 @@ def run_words(words: Sequence[str], seconds: float, clock: Clock, stop: threadin
             words, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, bufsize=0, cwd="/",
             env={name: os.environ[name] for name in _PASSED if name in os.environ}, start_new_session=True,
         )  # fmt: skip
-    except OSError as error:
-        return CommandEnd(problem=f"{words[0]} cannot be run: {error.strerror}")
+    except (OSError, ValueError) as error:  # ValueError: a word that no program can get
+        return CommandEnd(problem=getattr(error, "strerror", None) or "its words are not valid")
     assert process.stdout is not None
     with process.stdout as pipe:
         os.set_blocking(pipe.fileno(), False)

@@ -31,6 +31,7 @@ class UnitRulesText(Wording):
     NO_PROGRAM = "begins with an empty word: give a program"
     RELATIVE = "{program}: give an absolute path, or a name that is found in PATH"
     NUL = "has a NUL character: remove it"
+    NOT_TEXT = "has half of a character, a surrogate, which no program can get: remove it"
     TOO_LONG = "has more than {words} words or {characters} characters: put it into a script"
     TOO_MANY_NODES = "has {count} nodes: at most {most}"
     TIMEOUT = "{value:g} s is out of range: {range}"
@@ -39,6 +40,8 @@ class UnitRulesText(Wording):
     NO_STATUS = "has no status: nobody sees whether it runs, or whether it came back"
     NO_NODES = "has no nodes: the other side cannot ask for it while anything is armed"
     RUNS = "unit {name}: {action} runs {command}"
+    LOOKS = "unit {name}: status runs {command}, whenever an operator or any other side looks"
+    LOGS = "unit {name}: log runs {command}, after an action that failed"
     MAY = "{peer} may start, stop and restart, as far as they have that: {names}"
 
 
@@ -83,6 +86,8 @@ def _command_problem(words: tuple[str, ...]) -> str:
         return UnitRulesText.RELATIVE(program=one_line(program))
     if any("\0" in word for word in words):
         return UnitRulesText.NUL()
+    if any("\ud800" <= character <= "\udfff" for word in words for character in word):
+        return UnitRulesText.NOT_TEXT()
     if len(words) > _WORDS or sum(map(len, words)) > _LENGTH:
         return UnitRulesText.TOO_LONG(words=_WORDS, characters=_LENGTH)
     return ""
@@ -111,9 +116,10 @@ def _warnings(words: tuple[str, ...], action: str, file: Path | None) -> Iterato
 def effects(session: Session) -> Iterator[str]:
     """Yield the commands that this side may run, and the peers that may ask for them."""
     for name, unit in UNITS.of(session).items():
-        for action in ACTIONS:
+        for action in _COMMANDS:
             if words := getattr(unit, action):
-                yield UnitRulesText.RUNS(name=name, action=action, command=shlex.join(words))
+                text = {"status": UnitRulesText.LOOKS, "log": UnitRulesText.LOGS}.get(action, UnitRulesText.RUNS)
+                yield text(name=name, action=action, command=shlex.join(words))
     clients = session.accepted_clients if session.role == "server" else ()
     holders = [(client.name, MAY_ASK.of(client)) for client in clients] or [("the server", MAY_ASK.of(session))]
     for peer, names in holders:

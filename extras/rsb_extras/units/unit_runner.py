@@ -6,13 +6,14 @@ import asyncio
 import contextlib
 import threading
 from collections import deque
+from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import partial
 from math import inf
 from typing import TYPE_CHECKING, NamedTuple
 from weakref import WeakSet
 
-from rsb_bridge.feature_api import Level, RosError, Wording, in_thread, sanitize_text
+from rsb_bridge.feature_api import Level, RosError, Wording, in_thread, one_line, sanitize_text
 from rsb_extras.units import MAY_ASK, UNITS
 from rsb_extras.units.unit_process import CommandEnd, run_words, state_of
 from rsb_extras.units.unit_records import ACTIONS, MOST_UNITS, UnitOutcome, UnitRecord, UnitState, UnitText
@@ -54,10 +55,12 @@ class UnitProblem(Wording):
     NOT_ALLOWED = "{owner} does not let {peer} {action} unit {name}: add may: {{units: [{name}]}} {where}"
     BUSY = "a unit is being changed there already: wait until that is over"
     TOO_OFTEN = "units were changed {most} times within {seconds:g} s: wait"
-    ARMED = "{topic} is armed, and {nodes}: disarm it first, or ask an operator of that side"
+    ARMED = "{what} is armed, and {nodes}: disarm it first, or ask an operator of that side"
     HEARS = "a node of unit {name} takes it"
     NO_NODES = "unit {name} lists no nodes, so that it may be concerned"
     STOPS = "the bridge stops"
+    ENDED = "an operator of its side ended it, for another action"
+    NOT_RUN = "its program cannot be run: {problem}; the log of its side names it"
     LATE = "it took longer than {seconds:g} s, and was ended"
     CODE = "{action} ended with {code}"
     NOT_REACHED = "{action} is done, but the unit is {state} after {seconds:.0f} s"
@@ -84,6 +87,22 @@ class Asker(NamedTuple):
         return self.link is None or name in MAY_ASK.of(self.link.end.rights)
 
 
+@dataclass(slots=True, eq=False)
+class _Doing:
+    """The action that is under way.
+
+    Attributes:
+        stop: ends its commands.
+        outcome: of its task, as soon as that is made.
+    """
+
+    name: str
+    action: UnitAction
+    asker: Asker
+    stop: threading.Event = field(default_factory=threading.Event)
+    outcome: asyncio.Task[UnitOutcome] | None = None
+
+
 class UnitRunner:
     """Finds the states of this side's units, and carries out actions, for its operators and for other sides.
 
@@ -96,8 +115,7 @@ class UnitRunner:
         self._context = context
         self._found: dict[str, _Found] = {}
         self._looking: asyncio.Task[None] | None = None
-        self._running: asyncio.Task[UnitOutcome] | None = None
-        self._doing: tuple[str, UnitAction] | None = None
+        self._doing: _Doing | None = None
         self._starts: dict[bool, deque[float]] = {is_own: deque(maxlen=STARTS) for is_own in (False, True)}
         self._stop = threading.Event()
 
@@ -126,7 +144,7 @@ class UnitRunner:
             asker.may(name),
             found.state if found is not None and known else UnitState.UNKNOWN,
             self._context.now() - found.at if found is not None and known else None,
-            self._doing[1] if self._doing is not None and self._doing[0] == name else None,
+            self._doing.action if self._doing is not None and self._doing.name == name else None,
         )
 
     def _is_due(self, item: tuple[str, ListedUnit]) -> bool:
@@ -140,26 +158,33 @@ class UnitRunner:
         self._found = {name: found for name, found in self._found.items() if name in self._units}
         for name, unit in self._units.items():
             if self._is_due((name, unit)) and not self._stop.is_set():
-                await self._find(name, unit)
+                await self._find(name, unit, self._stop)
 
-    async def _find(self, name: str, unit: ListedUnit) -> UnitState:
-        state = state_of(await self._execute(unit.status, _STATUS_WITHIN))
+    async def _find(self, name: str, unit: ListedUnit, stop: threading.Event) -> UnitState:
+        state = state_of(await self._execute(unit.status, _STATUS_WITHIN, stop))
         self._found[name] = _Found(unit, state, self._context.now())
         return state
 
     # --- actions
 
     async def run(self, name: str, action: UnitAction, asker: Asker) -> UnitOutcome:
-        """Carry out an action, or refuse it. It goes on if nobody waits for it any more."""
+        """Carry out an action, or refuse it. It goes on if nobody waits for it any more.
+
+        An operator of this side does not wait for a peer's action, but ends it.
+        """
         what = f"unit {name}: {action}"
-        if refusal := self._refusal(name, action, asker):
+        while not (refusal := self._refusal(name, action, asker)) and (peers := self._doing) is not None:
+            assert peers.outcome is not None
+            peers.stop.set()
+            await asyncio.wait((peers.outcome,))
+        if refusal:
             self._log(Level.WARNING, UnitCode.REFUSED, f"{what} refused: {refusal}", asker)
             return UnitOutcome(refused=True, reason=sanitize_text(refusal))
         self._starts[asker.link is None].append(self._context.now())
         self._log(Level.INFO, UnitCode.BEGAN, what, asker)
-        self._doing = name, action
-        self._running = self._context.loop.create_task(self._carry_out(name, self._units[name], action, asker))
-        return await asyncio.shield(self._running)
+        self._doing = doing = _Doing(name, action, asker)
+        doing.outcome = self._context.loop.create_task(self._carry_out(doing, self._units[name]))
+        return await asyncio.shield(doing.outcome)
 
     def _refusal(self, name: str, action: UnitAction, asker: Asker) -> str:
         unit, now = self._units.get(name), self._context.now()
@@ -176,19 +201,23 @@ class UnitRunner:
             return UnitProblem.NO_ACTION(name=name, action=action, actions=actions)
         if self._stop.is_set():
             return UnitProblem.STOPS()
-        if self._running is not None and not self._running.done():
+        if self._doing is not None and (asker.link is not None or self._doing.asker.link is None):
             return UnitProblem.BUSY()
         if sum(now - each < STARTS_WITHIN for each in self._starts[asker.link is None]) >= STARTS:
             return UnitProblem.TOO_OFTEN(most=STARTS, seconds=STARTS_WITHIN)
         # The robot's own operator knows what is driven there, and may have no other way to stop it.
-        return "" if asker.link is None else self._armed(name, unit)
+        return "" if asker.link is None else self._armed(name, unit, asker.link)
 
-    def _armed(self, name: str, unit: ListedUnit) -> str:
-        """Return what is armed and may be of a unit's nodes, in words, or an empty string."""
-        for route in (each for link in self.links for each in link.routes.values()):
+    def _armed(self, name: str, unit: ListedUnit, asker: Link) -> str:
+        """Return what is armed and may be of a unit's nodes, in words, or an empty string.
+
+        The topic of another link has a name there only if the asker may know it.
+        """
+        for link, route in ((each, route) for each in self.links for route in each.routes.values()):
             if route.arming.held and (not unit.nodes or self._concerns(route, unit.nodes)):
                 nodes = (UnitProblem.HEARS if unit.nodes else UnitProblem.NO_NODES)(name=name)
-                return UnitProblem.ARMED(topic=route.local_topic, nodes=nodes)
+                is_known = link is asker or asker.end.shows(route.local_topic, route.spec.kind)
+                return UnitProblem.ARMED(what=route.local_topic if is_known else "something", nodes=nodes)
         return ""
 
     def _concerns(self, route: Route, nodes: Sequence[str]) -> bool:
@@ -205,52 +234,63 @@ class UnitRunner:
             return True
         return any(each.node in ("", *nodes) for each in found)
 
-    async def _carry_out(self, name: str, unit: ListedUnit, action: UnitAction, asker: Asker) -> UnitOutcome:
+    async def _carry_out(self, doing: _Doing, unit: ListedUnit) -> UnitOutcome:
+        began, words = self._context.now(), getattr(unit, doing.action)
         try:
-            outcome = await self._outcome(name, unit, action)
+            ended = await self._execute(words, unit.timeout, doing.stop)
+            outcome = await self._outcome(doing, unit, ended, began)
         finally:
             self._doing = None
         level, code = (Level.INFO, UnitCode.ENDED) if outcome.done else (Level.WARNING, UnitCode.FAILED)
-        self._log(level, code, f"unit {name}: {action}: {UnitText.of(action, outcome)}", asker)
+        # Only this side's log has the program's name: the outcome crosses.
+        named = f" ({one_line(words[0])})" if ended.problem else ""
+        text = f"unit {doing.name}: {doing.action}: {UnitText.of(doing.action, outcome)}{named}"
+        self._log(level, code, text, doing.asker)
         return outcome
 
-    async def _outcome(self, name: str, unit: ListedUnit, action: UnitAction) -> UnitOutcome:
-        began = self._context.now()
-        ended = await self._execute(getattr(unit, action), unit.timeout)
-        state, reason = UnitState.UNKNOWN, self._failure(ended, action, unit)
+    async def _outcome(self, doing: _Doing, unit: ListedUnit, ended: CommandEnd, began: float) -> UnitOutcome:
+        action, state, reason = doing.action, UnitState.UNKNOWN, self._failure(ended, doing, unit)
         if not reason and unit.status:
-            state = await self._reached(name, unit, action, began + unit.timeout)
+            state = await self._reached(doing, unit, began + unit.timeout)
             if state not in _REACHED[action]:
                 seconds = self._context.now() - began
-                reason = UnitProblem.NOT_REACHED(action=action, state=state, seconds=seconds)
+                reason = self._stopped(doing)
+                reason = reason or UnitProblem.NOT_REACHED(action=action, state=state, seconds=seconds)
         seconds = self._context.now() - began
-        log = await self._execute(unit.log, _LOG_WITHIN) if reason and unit.log else CommandEnd()
+        has_log = reason and unit.log and not doing.stop.is_set()
+        log = await self._execute(unit.log, _LOG_WITHIN, doing.stop) if has_log else CommandEnd()
         return UnitOutcome(not reason, False, sanitize_text(reason), seconds, state, ended.lines, log.lines)
 
-    async def _reached(self, name: str, unit: ListedUnit, action: UnitAction, deadline: float) -> UnitState:
+    async def _reached(self, doing: _Doing, unit: ListedUnit, deadline: float) -> UnitState:
         """Return the state after an action, once it is the right one, a failure, or the time is over."""
         while True:
-            state = await self._find(name, unit)
+            state = await self._find(doing.name, unit, doing.stop)
             left = deadline - self._context.now()
-            if state in (*_REACHED[action], UnitState.FAILED) or left <= 0 or self._stop.is_set():
+            if state in (*_REACHED[doing.action], UnitState.FAILED) or left <= 0 or doing.stop.is_set():
                 return state
             await asyncio.sleep(min(_POLL_EVERY, left))
 
-    def _failure(self, ended: CommandEnd, action: UnitAction, unit: ListedUnit) -> str:
-        """Return why a command is not done, or an empty string."""
-        if ended.problem:
-            return ended.problem
+    def _stopped(self, doing: _Doing) -> str:
+        """Return why an action had to end before its time, or an empty string."""
         if self._stop.is_set():
             return UnitProblem.STOPS()
+        return UnitProblem.ENDED() if doing.stop.is_set() else ""
+
+    def _failure(self, ended: CommandEnd, doing: _Doing, unit: ListedUnit) -> str:
+        """Return why a command is not done, or an empty string."""
+        if ended.problem:
+            return UnitProblem.NOT_RUN(problem=ended.problem)
+        if reason := self._stopped(doing):
+            return reason
         if ended.was_late:
             return UnitProblem.LATE(seconds=unit.timeout)
         if ended.code:
             code = f"exit code {ended.code}" if ended.code > 0 else f"signal {-ended.code}"
-            return UnitProblem.CODE(action=action, code=code)
+            return UnitProblem.CODE(action=doing.action, code=code)
         return ""
 
-    async def _execute(self, words: Sequence[str], seconds: float) -> CommandEnd:
-        return await in_thread("unit", partial(run_words, words, seconds, self._context.clock, self._stop), inf)
+    async def _execute(self, words: Sequence[str], seconds: float, stop: threading.Event) -> CommandEnd:
+        return await in_thread("unit", partial(run_words, words, seconds, self._context.clock, stop), inf)
 
     def _log(self, level: Level, code: UnitCode, text: str, asker: Asker) -> None:
         is_own = asker.link is None
@@ -260,6 +300,10 @@ class UnitRunner:
     async def close(self) -> None:
         """End what runs."""
         self._stop.set()
-        tasks = [each for each in (self._running, self._looking) if each is not None and not each.done()]
+        running = None
+        if self._doing is not None:
+            self._doing.stop.set()
+            running = self._doing.outcome
+        tasks = [each for each in (running, self._looking) if each is not None and not each.done()]
         if tasks:
             await asyncio.wait(tasks, timeout=_ENDS_WITHIN)

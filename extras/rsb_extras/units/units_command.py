@@ -21,7 +21,7 @@ from rsb_console.feature_console import (
 )
 from rsb_console.notation import formats
 from rsb_extras.units.unit_records import UnitText
-from rsb_extras.units.unit_requests import LONGEST, ControlUnit, ListUnits
+from rsb_extras.units.unit_requests import ANSWERED_WITHIN, ControlUnit, ListUnits
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -123,7 +123,7 @@ def _control(engine: RemoteEngine, arguments: Namespace, link: str) -> int:
     question = UnitsCommandText.ASK(action=action.capitalize(), name=name, side=side)
     if not (arguments.yes or agreed(question, ask=not arguments.json)):
         return FAILURE
-    outcome = engine.do(ControlUnit(name, action, link)).result(LONGEST)
+    outcome = engine.do(ControlUnit(name, action, link)).result(ANSWERED_WITHIN)
     if arguments.json:
         found = asdict(outcome) | {"unit": name, "link": link}
         ok, error = found.pop("done"), found.pop("reason")

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple, TypeAlias
+from weakref import WeakKeyDictionary
 
 from rich.cells import cell_len
 from textual.binding import Binding
@@ -21,7 +22,7 @@ from rsb_console.feature_console import (
     SelectableList,
     fit,
 )
-from rsb_extras.units.unit_records import UnitText
+from rsb_extras.units.unit_records import UnitAction, UnitOutcome, UnitText
 from rsb_extras.units.unit_requests import ControlUnit, ListUnits
 from rsb_extras.units.units_command import UnitsCommandText, actions_text, age_text, side_of, state_text
 
@@ -29,10 +30,11 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from textual.app import ComposeResult
+    from textual.notifications import SeverityLevel
 
     from rsb_bridge.feature_api import EngineApi
-    from rsb_console.feature_console import Console, Line, MainScreen
-    from rsb_extras.units.unit_records import UnitAction, UnitOutcome, UnitRecord
+    from rsb_console.feature_console import Line, MainScreen
+    from rsb_extras.units.unit_records import UnitRecord
     from rsb_extras.units.unit_requests import UnitGroup
 
 _RENEWED_EVERY = 2.0  # s; a round figure: a bridge looks for states each 5 s at most
@@ -41,14 +43,21 @@ _MOST_LINKS = 8
 _HEADINGS = "UNIT", "SIDE", "STATE", "AGE", "ACTIONS"
 _LOOKS = {"running": "ok", "stopped": "waiting", "failed": "down", "unknown": "unknown"}
 HELP = "x restart   s start   S stop   esc close"
+_Results: TypeAlias = dict[str, tuple[UnitAction, UnitOutcome | None]]
+"""The last action on each unit, and how it has ended, or None while it is under way."""
+_results: WeakKeyDictionary[EngineApi, _Results] = WeakKeyDictionary()
+"""Those of each engine: an action takes minutes, and its end outlives the screen from which it was asked for."""
 
 
 class UnitsScreenText(Wording):
     ASKING = "asking both sides"
     READ_ONLY = "this console is read-only"
     NO_ACTION = "unit {name} has no {action}: it has {actions}"
-    MEANS = "Its nodes end, and what they do with them. What they move has to be safe without them."
+    RESTART = "Its nodes end and start again. What they move has to be safe without them."
+    START = "Its nodes start, and may move what they drive. Nobody may be in its way."
+    STOP = "Its nodes end. What they move has to be safe without them."
     UNDER_WAY = "{action} under way"
+    WAIT = "unit {name}: {action} is under way: wait until that is over"
 
 
 class UnitRow(NamedTuple):
@@ -114,14 +123,12 @@ class UnitsScreen(ModalScreen[None]):
     #units-outcome { height: 1fr; background: $surface; }
     """
 
-    def __init__(self, console: Console, link: str) -> None:
+    def __init__(self, main: MainScreen, link: str) -> None:
         super().__init__()
-        self.console = console
+        self.main, self.console = main, main.console
         self._link = link
         self.table, self.problems = UnitsTable(), FixedLines(id="units-problems")
         self.outcome = ScrolledLines(id="units-outcome")
-        self._ended: dict[str, tuple[UnitAction, UnitOutcome | None]] = {}
-        """The last action on each unit, and how it has ended, or None while it is under way."""
 
     def compose(self) -> ComposeResult:
         yield Dialog("Units", self.problems, self.table, self.outcome, keys=HELP, shape="-high")
@@ -160,14 +167,19 @@ class UnitsScreen(ModalScreen[None]):
         if not problems and self.table.selected is None:
             problems = [((UnitsCommandText.NONE(), "dim"),)]
         self.problems.put(problems)
-        self._show_outcome()
+        self.show_outcome()
 
-    def _show_outcome(self) -> None:
-        row = self.table.selected
-        self.outcome.show([] if row is None or row.key not in self._ended else _lines(row, *self._ended[row.key]))
+    @property
+    def results(self) -> _Results:
+        engine = self.console.engine
+        return {} if engine is None else _results.setdefault(engine, {})
+
+    def show_outcome(self) -> None:
+        row, results = self.table.selected, self.results
+        self.outcome.show([] if row is None or row.key not in results else _lines(row, *results[row.key]))
 
     def on_selectable_list_cursor_moved(self) -> None:
-        self._show_outcome()
+        self.show_outcome()
 
     def action_control(self, action: UnitAction) -> None:
         row = self.table.selected
@@ -178,42 +190,55 @@ class UnitsScreen(ModalScreen[None]):
         elif action not in row.unit.actions:
             actions = ", ".join(row.unit.actions) or "none"
             self._warn(UnitsScreenText.NO_ACTION(name=row.unit.name, action=action, actions=actions))
+        elif (last := self.results.get(row.key)) is not None and last[1] is None:
+            self._warn(UnitsScreenText.WAIT(name=row.unit.name, action=last[0]))
         else:
             self.run_worker(self._ask(row, action), group=DIALOG)
 
     async def _ask(self, row: UnitRow, action: UnitAction) -> None:
         title = UnitsCommandText.ASK(action=action.capitalize(), name=row.unit.name, side=row.side)
-        question = ConfirmScreen(title, UnitsScreenText.MEANS(), action.capitalize(), Effect.MOVES | Effect.LOSES)
+        means = UnitsScreenText[action.upper()]()
+        question = ConfirmScreen(title, means, action.capitalize(), Effect.MOVES | Effect.LOSES)
         if await self.console.ask(question) is True and (engine := self.console.engine) is not None:
-            # Not in this worker: keys wait for one that may open a dialog.
-            self.run_worker(self._control(engine, row, action), group="unit-actions")
-
-    async def _control(self, engine: EngineApi, row: UnitRow, action: UnitAction) -> None:
-        self._ended[row.key] = action, None
-        self._show_outcome()
-        try:
-            outcome = await asyncio.wrap_future(engine.do(ControlUnit(row.unit.name, action, row.link)))
-        except EngineError as error:
-            del self._ended[row.key]
-            self._warn(str(error))
-        else:
-            self._ended[row.key] = action, outcome
-        self._show_outcome()
-        self.renew()
+            self.results[row.key] = action, None
+            self.show_outcome()
+            # Not in this worker, for which keys wait, nor of this screen, which may be closed before the end.
+            self.main.run_worker(_control(self.main, engine, row, action), group="unit-actions")
 
     def _warn(self, text: str) -> None:
         self.console.notify(text, severity="warning", markup=False, timeout=8)
 
 
-def _lines(row: UnitRow, action: UnitAction, outcome: UnitOutcome | None) -> Iterator[Line]:
-    def ended(text: str) -> str:
-        return UnitsCommandText.ENDED(name=row.unit.name, side=row.side, text=text)
+async def _control(main: MainScreen, engine: EngineApi, row: UnitRow, action: UnitAction) -> None:
+    """Wait for the end of an action, and show it: below the list, or without one in a message."""
+    results = _results[engine]
+    try:
+        outcome = await asyncio.wrap_future(engine.do(ControlUnit(row.unit.name, action, row.link)))
+    except EngineError as error:
+        results.pop(row.key, None)
+        text, is_done, is_shown = str(error), False, False
+    else:
+        results[row.key] = action, outcome
+        text, is_done, is_shown = _ended(row, UnitText.of(action, outcome)), outcome.done, True
+    screens = [each for each in main.app.screen_stack if isinstance(each, UnitsScreen)]
+    for screen in screens:
+        screen.show_outcome()
+        screen.renew()
+    if not (screens and is_shown):
+        severity: SeverityLevel = "information" if is_done else "warning"
+        main.console.notify(text, severity=severity, markup=False, timeout=8)
 
+
+def _ended(row: UnitRow, text: str) -> str:
+    return UnitsCommandText.ENDED(name=row.unit.name, side=row.side, text=text)
+
+
+def _lines(row: UnitRow, action: UnitAction, outcome: UnitOutcome | None) -> Iterator[Line]:
     if outcome is None:
-        yield ((ended(UnitsScreenText.UNDER_WAY(action=action)), "waiting"),)
+        yield ((_ended(row, UnitsScreenText.UNDER_WAY(action=action)), "waiting"),)
         return
     sign, look = (DONE, "ok") if outcome.done else (FAILED, "down")
-    yield ((f"{sign} {ended(UnitText.of(action, outcome))}", look),)
+    yield ((f"{sign} {_ended(row, UnitText.of(action, outcome))}", look),)
     for line in () if outcome.done else (*outcome.output, *outcome.log):
         yield ((line, ""),)
 
@@ -221,4 +246,4 @@ def _lines(row: UnitRow, action: UnitAction, outcome: UnitOutcome | None) -> Ite
 async def show_units(screen: MainScreen) -> None:
     console, row = screen.console, screen.topics.selected
     many = len(console.snapshot().links) > _MOST_LINKS
-    await console.ask(UnitsScreen(console, row.link if many and row is not None else ""))
+    await console.ask(UnitsScreen(screen, row.link if many and row is not None else ""))

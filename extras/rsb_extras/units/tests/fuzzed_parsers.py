@@ -15,6 +15,7 @@ from rsb_extras.units.unit_records import ACTIONS, LINES, MOST_UNITS, NAME, Unit
 
 _MESSAGES = (
     AskUnits(1),
+    AskUnits(1, ticket=True),
     UnitAnswer(1, 2, (UnitRecord("nav", ACTIONS, True, UnitState.RUNNING, 1.5, "restart"),)),
     RunUnit(2, "nav", "restart", "anna on pts/3"),
     UnitEnded(2, UnitOutcome(done=True, seconds=4.2, state=UnitState.RUNNING)),

@@ -65,7 +65,7 @@ def bed(bridge: Bridge, tmp_path: Path) -> Iterator[Bed]:
 
 
 def ticket(peer: Rogue, request: int = 1) -> int:
-    peer.say(AskUnits(request))
+    peer.say(AskUnits(request, ticket=True))
     return peer.wait_for(UnitAnswer).ticket
 
 
@@ -137,6 +137,16 @@ def test_each_ticket_counts_once(bridge: Bridge, bed: Bed) -> None:
         ended = [peer.wait_for(UnitEnded).outcome for _ in range(50)]
         assert sum(each.done for each in ended) == 1
         assert sum(each.refused for each in ended) == 49
+    assert bed.ran == ["restart"]
+
+
+def test_lists_leave_a_ticket_as_it_is(bridge: Bridge, bed: Bed) -> None:
+    bed.start()
+    with rogue(bridge) as peer:
+        number = ticket(peer)
+        peer.say(AskUnits(2))
+        assert peer.wait_for(UnitAnswer).ticket == 0
+        assert outcome(peer, "nav", number=number).done
     assert bed.ran == ["restart"]
 
 

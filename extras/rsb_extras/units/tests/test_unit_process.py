@@ -98,8 +98,9 @@ def test_the_end_of_the_output_is_kept_and_clean() -> None:
 
 
 def test_one_that_cannot_begin_says_why() -> None:
-    assert run("/no/such").problem == "/no/such cannot be run: No such file or directory"
-    assert run("/etc/passwd").problem == "/etc/passwd cannot be run: Permission denied"
+    assert run("/no/such").problem == "No such file or directory"
+    assert run("/etc/passwd").problem == "Permission denied"
+    assert run("true", "\ud800").problem == "its words are not valid"
 
 
 def test_states_are_those_of_exit_codes(tmp_path: Path) -> None:

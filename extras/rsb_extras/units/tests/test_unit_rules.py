@@ -69,6 +69,7 @@ def test_mistakes_name_their_line(tmp_path: Path) -> None:
         ({"nav": {**NAV, "start": [""]}}, "units.nav.start"),
         ({"nav": {**NAV, "start": ["./a"]}}, "units.nav.start"),
         ({"nav": {**NAV, "log": ["a", "b\0"]}}, "units.nav.log"),
+        ({"nav": {**NAV, "log": ["a", "\ud800"]}}, "units.nav.log"),
         ({"nav": {**NAV, "start": ["a"] * 65}}, "units.nav.start"),
         ({"nav": {**NAV, "start": ["a" * 5000]}}, "units.nav.start"),
         ({"nav": {**NAV, "start": [1]}}, "units.nav.start[0]"),
@@ -112,14 +113,19 @@ def test_check_says_what_may_be_run_and_warns(tmp_path: Path) -> None:
     program = tmp_path / "restart-nav"
     program.write_text("#!/bin/sh\n")
     program.chmod(0o777)
-    units = {"nav": {"restart": [str(program), "a b"]}, "lidar": {"status": ["no_such_program"]}}
+    units = {
+        "nav": {"restart": [str(program), "a b"], "log": ["journalctl", "-e"]},
+        "lidar": {"status": ["no_such_program"]},
+    }
     session, problems = build({**ROBOT, "units": units, "may": {"units": ["nav"]}})
     assert not problems
     assert list(FEATURE.effects(session)) == [
         f"unit nav: restart runs {program} 'a b'",
+        "unit nav: log runs journalctl -e, after an action that failed",
+        "unit lidar: status runs no_such_program, whenever an operator or any other side looks",
         "the server may start, stop and restart, as far as they have that: nav",
     ]
-    advice = list(FEATURE.advice(session, tmp_path / "robot1.yaml"))
+    advice = [each for each in FEATURE.advice(session, tmp_path / "robot1.yaml") if each[0] != "units.nav.log"]
     assert [place for place, _ in advice] == ["units.nav", "units.nav", "units.nav.restart", "units.lidar.status"]
     assert advice[2][1].startswith(f"other users can change {program}")
     assert advice[3][1].startswith("no program no_such_program in PATH")

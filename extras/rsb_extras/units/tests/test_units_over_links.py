@@ -172,12 +172,53 @@ def test_one_action_runs_at_a_time(bridge: Bridge, nav: Supervised) -> None:
     first = pc.do(ControlUnit("nav", "start", "robot1"))
     eventually(lambda: nav.ran, what="a command that runs")
     assert nav_of(robot).doing == "start"
-    assert ask(robot, "stop", link="").reason == "a unit is being changed there already: wait until that is over"
     with pytest.raises(EngineError, match="under way"):
         ask(pc, "stop")
     (nav.folder / "go").touch()
     assert first.result(60).done
     assert nav.ran == ["waits"]
+
+
+def test_an_own_operator_ends_a_peers_action(bridge: Bridge, nav: Supervised) -> None:
+    nav.unit = msgspec.structs.replace(nav.unit, start=waiting(nav.folder))
+    pc, robot = two_sides(bridge, nav, "nav")
+    first = pc.do(ControlUnit("nav", "start", "robot1"))
+    eventually(lambda: nav.ran, what="a command that runs")
+    assert ask(robot, "stop", link="").done
+    assert nav.ran == ["waits", "stop"]
+    reason = "an operator of its side ended it, for another action"
+    assert (first.result(60).done, first.result().reason) == (False, reason)
+    assert happened(robot, UnitCode.FAILED, f"unit nav: start: {reason}")
+    assert happened(pc, UnitCode.FAILED, reason)
+    (nav.folder / "ran").unlink()
+    own = robot.do(ControlUnit("nav", "start"))
+    eventually(lambda: nav.ran, what="a command that runs")
+    for side, link in ((robot, ""), (pc, "robot1")):
+        assert ask(side, "stop", link=link).reason == "a unit is being changed there already: wait until that is over"
+    (nav.folder / "go").touch()
+    own.result(60)
+
+
+def test_a_missing_programs_path_stays_here(bridge: Bridge, nav: Supervised) -> None:
+    nav.unit = msgspec.structs.replace(nav.unit, start=("/opt/secret/nav",))
+    pc, robot = two_sides(bridge, nav, "nav")
+    reason = "its program cannot be run: No such file or directory; the log of its side names it"
+    assert ask(pc, "start").reason == reason
+    assert happened(robot, UnitCode.FAILED, f"unit nav: start: {reason} (/opt/secret/nav)")
+    assert not any("secret" in event.text for event in pc.events())
+
+
+def test_lists_do_not_hinder_actions(bridge: Bridge, nav: Supervised) -> None:
+    """Screens ask for the units all the time: no list makes the ticket of an action void."""
+    nav.unit = msgspec.structs.replace(nav.unit, status=(), restart=("true",))
+    pc, _ = two_sides(bridge, nav, "nav")
+    for _ in range(STARTS):
+        lists = [pc.do(ListUnits()) for _ in range(2)]
+        action = pc.do(ControlUnit("nav", "restart", "robot1"))
+        lists += [pc.do(ListUnits()) for _ in range(2)]
+        assert action.result(60).done
+        for each in lists:
+            each.result(60)
 
 
 def test_actions_are_counted_for_each_side(bridge: Bridge, nav: Supervised) -> None:

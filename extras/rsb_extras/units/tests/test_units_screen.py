@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Future
 from typing import TYPE_CHECKING
 
 from tests.console.driving import NARROW, engine_of, gone, notified, on_main, shown, text
 
+from rsb_bridge.api import EngineError
+from rsb_extras.units.tests.scripted_answers import GROUPS
+from rsb_extras.units.unit_records import ACTIONS, UnitOutcome, UnitState
+from rsb_extras.units.unit_requests import ControlUnit, ListUnits
+from rsb_extras.units.units_command import UnitsCommandText
 from rsb_extras.units.units_screen import UnitsScreenText
 
 if TYPE_CHECKING:
+    import pytest
     from textual.pilot import Pilot
 
     from rsb_console.app import ConsoleApp
@@ -54,6 +61,52 @@ async def test_an_action_is_asked_and_its_result_stays(app: ConsoleApp, pilot: P
     await pilot.press("y")
     await shown(pilot, "unit lidar of the server: restart ended with exit code 7")
     assert "cannot open /dev/lidar" in text(app)
+
+
+def held(app: ConsoleApp, monkeypatch: pytest.MonkeyPatch) -> Future[UnitOutcome]:
+    """Return the answer that each action gets once it is set."""
+    answer: Future[UnitOutcome] = Future()
+    played = {ListUnits: lambda _: GROUPS, ControlUnit: lambda _: answer}
+    monkeypatch.setattr("tests.console.scripted.answers", lambda: played)
+    return answer
+
+
+@on_main(NARROW)
+async def test_an_action_under_way_is_not_asked_twice(
+    app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answer = held(app, monkeypatch)
+    await opened(pilot, "j", "j", "x")
+    await shown(pilot, "Restart unit nav of the server?")
+    await pilot.press("y")
+    await shown(pilot, "restart under way")
+    await pilot.press("x")
+    await notified(pilot, UnitsScreenText.WAIT, name="nav", action="restart")
+    answer.set_exception(EngineError("the link was lost"))
+    await gone(pilot, "restart under way")
+
+
+@on_main(NARROW)
+async def test_a_result_outlives_the_screen(
+    app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answer = held(app, monkeypatch)
+    await opened(pilot, "j", "j", "x")
+    await shown(pilot, "Restart unit nav of the server?")
+    await pilot.press("y")
+    await shown(pilot, "restart under way")
+    await pilot.press("escape")
+    await gone(pilot, "restart under way")
+    answer.set_result(UnitOutcome(done=True, seconds=4.2, state=UnitState.RUNNING))
+    await notified(pilot, UnitsCommandText.ENDED, name="nav", side="the server")
+    app.clear_notifications()
+    await opened(pilot, "j", "j")
+    await shown(pilot, "unit nav of the server: it came back in 4.2 s")
+
+
+def test_each_question_fits() -> None:
+    for action in ACTIONS:
+        assert len(UnitsScreenText[action.upper()]()) <= 80
 
 
 @on_main(NARROW)
