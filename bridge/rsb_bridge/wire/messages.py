@@ -59,7 +59,7 @@ class ControlMessageBase(msgspec.Struct, frozen=True, tag_field="message", tag=s
 
 
 class ConnectionMessage(ControlMessageBase, frozen=True):
-    """A message that means nothing on another connection than its own, or that is asked for or sent anew there."""
+    """A message that means nothing on another connection than its own, or that is asked for or sent again there."""
 
 
 class Hello(ControlMessageBase, frozen=True):
