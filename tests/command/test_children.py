@@ -32,6 +32,8 @@ MAY_START = {
     "extras/rsb_extras/pictures/renderer.py",
     # They run what the operator wrote, in the folder where the operator started the console; and tmux by its path.
     "extras/rsb_extras/own_commands/interactive.py", "extras/rsb_extras/own_commands/running.py",
+    # It runs what the session's file lists, in the root folder.
+    "extras/rsb_extras/units/unit_process.py",
     "console/rsb_console/terminal/tmux.py", "console/rsb_console/child.py", "deb/build.py", "docs/real_terminals.py",
 }  # fmt: skip
 """Modules that start children. A new one belongs here once its child does not look into its working folder."""

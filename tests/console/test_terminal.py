@@ -222,7 +222,7 @@ def test_stopped_and_continued_console_draws_again(pair: Pair, tmp_path: Path) -
             terminal.kill(signal.SIGCONT)
             time.sleep(0.02)
         deadline = time.monotonic() + 180
-        while terminal.threads > threads:
+        while terminal.threads > threads + 2:  # the engine's pool may have grown meanwhile, but not by nine
             assert time.monotonic() < deadline, f"{terminal.threads} threads, {threads} before"
             terminal.read(0.05)
         while terminal.alive:  # what is typed while it takes the terminal is lost
