@@ -197,7 +197,7 @@ def test_tool_that_comes_back_is_another_one(world: World) -> None:
     world.ros.nodes["/_tool"] = SCAN
     world.passes(2, changed=True)
     world.ros.gid = _GID[:6] + bytes([1]) + _GID[7:]
-    world.passes(3, changed=True)
+    world.passes(1, changed=True)
     node = world.watch.book.nodes["/_tool"]
     assert (node.ended, node.ends, node.publishes) == (None, 0, 1)
     assert world.watch.book.nodes[LIDAR].ends == 1
