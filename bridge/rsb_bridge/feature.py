@@ -121,7 +121,7 @@ class PeerRight(Generic[T]):
     def of(self, holder: Any) -> T:
         """Return what a peer's rights (`link.end.rights`), a session or a client's entry give."""
         given = holder.features.get(MAY)
-        value: T = self.default if given is None else getattr(given, self.name)
+        value: T = self.default if given is None else getattr(given, self.name, self.default)  # it may be left out
         return value
 
 

@@ -181,8 +181,9 @@ def _entry_like(kind: Any, value: object) -> str:
 
 
 def _entry(value: object, kind: Any, problems: list[Problem], location: str) -> Any:
-    if get_origin(kind) is dict and issubclass(get_args(kind)[1], msgspec.Struct):
-        return _named(value, get_args(kind)[1], problems, location)
+    model = get_args(kind)[1] if get_origin(kind) is dict else None
+    if isinstance(model, type) and issubclass(model, msgspec.Struct):
+        return _named(value, model, problems, location)
     structs = [each for each in _alternatives(kind) if isinstance(each, type) and issubclass(each, msgspec.Struct)]
     # Where a text may stand instead of a mapping, only a mapping is read as one.
     if structs and (structs[0] is kind or isinstance(value, Mapping)):

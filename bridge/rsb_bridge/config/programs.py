@@ -60,7 +60,7 @@ def program_problem(program: str, folder: Path) -> str:
 
 
 def program_warnings(program: str, file: Path) -> Iterator[str]:
-    """Name the files by which other users could run programs as this user.
+    """Name the files and folders by which users other than this one and root could run programs as this user.
 
     Args:
         program: as of `program_path`.
@@ -68,6 +68,22 @@ def program_warnings(program: str, file: Path) -> Iterator[str]:
     """
     with suppress(OSError):  # `program_problem` names it
         for path in filter(None, (file, program_path(program, file.parent))):
-            status = stat_of(path)
-            if status is not None and status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
-                yield f"other users can change {path}, which runs as this user: chmod go-w {path}"
+            yield from _changed_by_others(path)
+
+
+def _changed_by_others(path: Path) -> Iterator[str]:
+    """Yield each reason why other users can change or replace a file, or a link to it."""
+    if stat_of(path) is None:
+        return
+    link, target = Path(os.path.abspath(path)), path.resolve()  # noqa: PTH100 -- a link's name stays
+    for each in dict.fromkeys((target, *link.parents, *target.parents)):
+        status = each.stat()
+        others_write = status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+        # With the sticky bit, as of /tmp, nobody can replace another user's file.
+        if each != target and status.st_mode & stat.S_ISVTX:
+            others_write = 0
+        change = f"other users can {'change' if each == target else 'replace'} {path}, which runs as this user"
+        if status.st_uid not in (0, os.geteuid()):
+            yield f"{change}: {each} belongs to uid {status.st_uid}: chown it, or use a copy in a folder of this user"
+        elif others_write:
+            yield f"{change}: chmod go-w {each}"

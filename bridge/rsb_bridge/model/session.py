@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import msgspec
 
 from rsb_bridge.feature import BRINGS_RIGHTS, MAY, SessionKey
-from rsb_bridge.installed_features import added
+from rsb_bridge.installed_features import added, added_by, guarded
 from rsb_bridge.model.by_hand import VelocityLimits, end_text
 from rsb_bridge.model.keep import Keep
 from rsb_bridge.model.limits import APART
@@ -387,11 +387,16 @@ def session_keys() -> Mapping[str, SessionKey[Any]]:
 
 def _may() -> SessionKey[Any]:
     """Return the key of all rights that features bring."""
-    rights = added("rights", name_of=lambda right: right.name)
-    known = {right.name for right in rights}
+    fields: list[tuple[str, Any, Any]] = []
+    for feature, right in added_by("rights", name_of=lambda right: right.name, taken=("hints",)):
+        field = right.name, right.type, right.default
+        with guarded(feature, "rights"):
+            msgspec.convert({}, msgspec.defstruct("May", [field], frozen=True))  # its name, default or type may be none
+            fields.append(field)
+    known = {name for name, _, _ in fields}
     absent = {name: AbsentFeature.KEY(feature=of) for name, of in BRINGS_RIGHTS.items() if name not in known}
     given = msgspec.defstruct(
-        "May", [(right.name, right.type, right.default) for right in rights],
+        "May", fields,
         frozen=True, forbid_unknown_fields=True, omit_defaults=True, namespace={"hints": absent},
     )  # fmt: skip
     return SessionKey(MAY, given, given(), live=True, of_peer=True)

@@ -16,7 +16,7 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.config.session_file import save
 from rsb_bridge.feature import MAY
 from rsb_bridge.model.commands import acting
-from rsb_bridge.model.session import Topic
+from rsb_bridge.model.session import Client, Topic
 from rsb_extras.units.tests.supervised import Supervised, has, may, waiting
 from rsb_extras.units.unit_records import UnitOutcome, UnitRecord, UnitState
 from rsb_extras.units.unit_requests import ControlUnit, ListUnits, UnitGroup
@@ -191,12 +191,10 @@ def test_an_own_operator_ends_a_peers_action(bridge: Bridge, nav: Supervised) ->
     assert happened(robot, UnitCode.FAILED, f"unit nav: start: {reason}")
     assert happened(pc, UnitCode.FAILED, reason)
     (nav.folder / "ran").unlink()
-    own = robot.do(ControlUnit("nav", "start"))
+    robot.do(ControlUnit("nav", "start"))
     eventually(lambda: nav.ran, what="a command that runs")
     for side, link in ((robot, ""), (pc, "robot1")):
         assert ask(side, "stop", link=link).reason == "a unit is being changed there already: wait until that is over"
-    (nav.folder / "go").touch()
-    own.result(60)
 
 
 def test_a_missing_programs_path_stays_here(bridge: Bridge, nav: Supervised) -> None:
@@ -265,6 +263,39 @@ def test_only_what_concerns_a_units_nodes_counts(
     outcome = ask(server, unit="unknown")
     assert outcome.reason.startswith("/cmd is armed, and unit unknown lists no nodes")
     assert unknown.ran == []
+
+
+def test_a_refusal_names_no_topic_of_another_link(
+    bridge: Bridge, nav: Supervised, robot: Domain, pc: Domain, consoles: Consoles, long_lease: None
+) -> None:
+    """The server's unit lists no nodes; another robot's topic is armed."""
+    robot.listener("/cmd")
+    pc.publisher("/robot1/cmd")
+    nav.unit = msgspec.structs.replace(nav.unit, nodes=())
+    right = {MAY: may("nav")}
+    clients = (Client("robot1", use_name=True, features=right), Client("robot2", use_name=True, features=right))
+    server = bridge.server(name="pc", clients=clients, shared_keys=True, features=has(("nav", nav)))
+    first = bridge.client(Topic("/cmd", "receive", arm=True))
+    second = bridge.client(name="robot2")
+    eventually(lambda: all(link.linked for link in inside(server).links()), what="both links")
+    consoles.arm(server, "/robot1/cmd")
+    reason = "is armed, and unit nav lists no nodes"
+    assert ask(second, link="robot2").reason.startswith(f"something {reason}")
+    assert ask(first).reason.startswith(f"/robot1/cmd {reason}")
+    assert nav.ran == []
+
+
+def test_an_action_asked_for_while_away_is_not_too_late(bridge: Bridge, nav: Supervised, relay: Relay) -> None:
+    """What the lost connection took along crosses on the next one, once."""
+    bridge.through(relay)
+    nav.unit = msgspec.structs.replace(nav.unit, status=(), restart=("true",))
+    pc, _ = two_sides(bridge, nav, "nav", outlive=60.0)
+    relay.hold()
+    action = pc.do(ControlUnit("nav", "restart", "robot1"))
+    eventually(lambda: happened(pc, UnitCode.BEGAN), what="a request that is on its way")
+    relay.cut()
+    relay.release()
+    assert action.result(60).done
 
 
 def _key(engine: Engine) -> str:
