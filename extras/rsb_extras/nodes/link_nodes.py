@@ -28,8 +28,7 @@ from rsb_extras.nodes.node_watch import LOOKED_FOR, NodeWatch
 if TYPE_CHECKING:
     from collections.abc import Generator
 
-    from rsb_bridge.config.rights import Rights
-    from rsb_bridge.feature_api import Link, Route
+    from rsb_bridge.feature_api import Link, Rights, Route
     from rsb_bridge.model.session import Kind
 
 _ANSWERED_WITHIN = 15.0
