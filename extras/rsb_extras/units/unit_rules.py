@@ -86,7 +86,7 @@ def _command_problem(words: tuple[str, ...]) -> str:
         return UnitRulesText.RELATIVE(program=one_line(program))
     if any("\0" in word for word in words):
         return UnitRulesText.NUL()
-    if any("\ud800" <= character <= "\udfff" for word in words for character in word):
+    if any(0xD800 <= ord(character) <= 0xDFFF for word in words for character in word):
         return UnitRulesText.NOT_TEXT()
     if len(words) > _WORDS or sum(map(len, words)) > _LENGTH:
         return UnitRulesText.TOO_LONG(words=_WORDS, characters=_LENGTH)
