@@ -20,7 +20,7 @@ class LockText(Wording):
     """Texts about the picture."""
 
     AGE = "picture {age:.1f} s old"
-    OLD = "locked: the picture is {age:.1f} s old, more than {most:g} s"
+    OLD = "locked: the picture is more than {most:g} s old"
     UNKNOWN = "locked: no picture yet, or its age is unknown"
     FROZEN = "locked: the picture stands still though the robot moves; D drives without"
     NUMBER = "picture_age: give seconds from 0.1 to 60, or 0 to drive by a picture of any age"
@@ -62,7 +62,7 @@ class PictureLock:
         if seen.age is None:
             return LockText.UNKNOWN()
         if seen.age > self._most:
-            return LockText.OLD(age=seen.age, most=self._most)
+            return LockText.OLD(most=self._most)
         moved_for = 0.0 if self._moves_since is None else now - seen.age - self._moves_since
         self._is_frozen = seen.still > self._most and (self._is_frozen or moved_for > self._most)
         return LockText.FROZEN() if self._is_frozen else ""
