@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from rsb_console.notation.topic_column import TopicColumn
     from rsb_console.preferences import Preferences
     from rsb_console.screens.dialog import ConfirmScreen, Dialog, FullScreen, SideBox
+    from rsb_console.screens.filtered_screen import FilteredScreen
     from rsb_console.screens.main import MainScreen
     from rsb_console.screens.message_screen import MessageView
     from rsb_console.terminal.input_queue import DIALOG, GuardedScreen
@@ -86,6 +87,7 @@ _NAMES = {
     "rsb_console.notation.topic_column": ("TopicColumn",),
     "rsb_console.preferences": ("Preferences",),
     "rsb_console.screens.dialog": ("ConfirmScreen", "Dialog", "FullScreen", "SideBox"),
+    "rsb_console.screens.filtered_screen": ("FilteredScreen",),
     "rsb_console.screens.main": ("MainScreen",),
     "rsb_console.screens.message_screen": ("MessageView",),
     "rsb_console.terminal.input_queue": ("DIALOG", "GuardedScreen"),

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 from rich.cells import cell_len
 from textual.binding import Binding
-from textual.screen import ModalScreen
 
 from rsb_bridge.feature_api import EngineError, State, Wording, why_not_written
 from rsb_console.feature_console import (
     STATE_SIGN,
     STATE_WORD,
     Dialog,
+    FilteredScreen,
     FixedLines,
     Line,
     Prompt,
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     from textual.app import ComposeResult
 
-    from rsb_console.feature_console import Console, MainScreen, RowFilter
+    from rsb_console.feature_console import Console, MainScreen
     from rsb_extras.history.history_data import HistoryReport, Track
 
 SPANS = (3600.0, 8 * 3600.0, 24 * 3600.0)
@@ -160,7 +160,7 @@ class HistoryTable(SelectableList):
         return fit((("▌" if self.is_cursor(index) else " ", "key"), *cells, (row.text, "")), self.width)
 
 
-class HistoryScreen(ModalScreen[None]):
+class HistoryScreen(FilteredScreen[None]):
     """The history of the last hour, 8 hours or day: outages, operators' actions and times without a record."""
 
     BINDINGS: ClassVar = [
@@ -168,7 +168,6 @@ class HistoryScreen(ModalScreen[None]):
         Binding("q", "dismiss", show=False),
         Binding("h", "span", show=False),
         Binding("s", "order", show=False),
-        Binding("slash", "filter", show=False),
         Binding("x", "export", show=False),
     ]
     AUTO_FOCUS = "#history"
@@ -178,12 +177,10 @@ class HistoryScreen(ModalScreen[None]):
     """
 
     def __init__(self, console: Console) -> None:
-        super().__init__()
+        super().__init__(Prompt())
         self.console = console
         self.summary, self.detail = FixedLines(id="history-summary"), FixedLines(id="history-detail")
         self.table = HistoryTable()
-        self.prompt = Prompt()
-        self.pattern: RowFilter | None = None
         self._span = SPANS[0]
         self._by_topic = False
         self._report: HistoryReport | None = None
@@ -283,16 +280,6 @@ class HistoryScreen(ModalScreen[None]):
     def action_order(self) -> None:
         self._by_topic = not self._by_topic
         self.show()
-
-    def action_filter(self) -> None:
-        self.prompt.open("" if self.pattern is None else self.pattern.text)
-
-    def on_prompt_changed(self, event: Prompt.Changed) -> None:
-        self.pattern = event.pattern
-        self.show()
-
-    def on_prompt_closed(self) -> None:
-        self.set_focus(self.table)
 
     def action_back(self) -> None:
         """Drop the filter, or close."""

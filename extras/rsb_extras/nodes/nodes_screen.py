@@ -14,6 +14,7 @@ from rsb_bridge.feature_api import EngineError, Wording
 from rsb_console.feature_console import (
     STATE_SIGN,
     Dialog,
+    FilteredScreen,
     FixedLines,
     Line,
     MainScreen,
@@ -71,7 +72,7 @@ class NodeTable(SelectableList):
         return fit(((mark, "key"), *self._lines[self.keys[index]]), self.width)
 
 
-class NodesScreen(ModalScreen[str | None]):
+class NodesScreen(FilteredScreen[str | None]):
     """The nodes of one side. It is closed with a filter for the table of topics, or None.
 
     Args:
@@ -84,7 +85,6 @@ class NodesScreen(ModalScreen[str | None]):
         Binding("escape", "back", show=False),
         Binding("q", "dismiss(None)", show=False),
         Binding("enter", "open", show=False),
-        Binding("slash", "filter", show=False),
         Binding("f", "faults", show=False),
         Binding("t", "topics", show=False),
         Binding("s", "side", show=False),
@@ -96,10 +96,9 @@ class NodesScreen(ModalScreen[str | None]):
     """
 
     def __init__(self, console: Console, sides: list[str | None], side: str | None, topic: str = "") -> None:
-        super().__init__()
+        super().__init__(Prompt(""))
         self.console = console
-        self.summary, self.table, self.prompt = FixedLines(id="nodes-summary"), NodeTable(), Prompt("")
-        self.pattern: RowFilter | None = None
+        self.summary, self.table = FixedLines(id="nodes-summary"), NodeTable()
         self.book = NodeBook()
         self._sides, self._side, self._topic = sides, side, topic
         self._at = (0, 0)
@@ -264,16 +263,6 @@ class NodesScreen(ModalScreen[str | None]):
 
     def on_selectable_list_chosen(self) -> None:
         self.action_open()
-
-    def action_filter(self) -> None:
-        self.prompt.open("" if self.pattern is None else self.pattern.text)
-
-    def on_prompt_changed(self, event: Prompt.Changed) -> None:
-        self.pattern = event.pattern
-        self.show()
-
-    def on_prompt_closed(self) -> None:
-        self.set_focus(self.table)
 
     def action_faults(self) -> None:
         self._faults_only = not self._faults_only
