@@ -454,7 +454,7 @@ class DriveScreen(GuardedScreen, SideBox[None]):
             moves = DriveText.NOT_WHILE_DISARMED()
         else:
             moving = f"forward {forward:+.2f} m/s  turn {turn:+.2f} rad/s"
-            moves = self._lock.problem(now) or (moving if forward or turn else self._why_at_rest(now))
+            moves = moving if forward or turn else self._why_at_rest(now)
         self._forget_refusal(route)
         speed = f"keys: {self._steering.speed:.2f} m/s, {self._steering.turn:.2f} rad/s"
         problem = "keys came late, all at once: they are ignored" if self._steering.came_late(now) else self._problem
@@ -477,6 +477,8 @@ class DriveScreen(GuardedScreen, SideBox[None]):
         self._pane.border_subtitle = Content("" if is_wide else f" {' · '.join(keys)} ")
 
     def _why_at_rest(self, now: float) -> str:
+        if locked := self._lock.problem(now):
+            return locked
         if not self._steering.waits(now):
             return DriveText.NO_KEY()
         rhythm = self._steering.rhythm

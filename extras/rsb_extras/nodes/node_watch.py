@@ -220,7 +220,8 @@ class NodeWatch:
         else:
             self._lifecycle.close()
             for name, each in self._nodes.items():
-                self._state_told(name, "") if each.lifecycle else None
+                if each.lifecycle:
+                    self._state_told(name, "")
         self._hear()
 
     def close(self) -> None:

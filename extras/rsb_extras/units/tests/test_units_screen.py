@@ -63,11 +63,15 @@ async def test_an_action_is_asked_and_its_result_stays(app: ConsoleApp, pilot: P
     assert "cannot open /dev/lidar" in text(app)
 
 
-def held(app: ConsoleApp, monkeypatch: pytest.MonkeyPatch) -> Future[UnitOutcome]:
-    """Return the answer that each action gets once it is set."""
+async def restarting(pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch) -> Future[UnitOutcome]:
+    """Restart a unit, and return the answer that the action gets once it is set."""
     answer: Future[UnitOutcome] = Future()
     played = {ListUnits: lambda _: GROUPS, ControlUnit: lambda _: answer}
     monkeypatch.setattr("tests.console.scripted.answers", lambda: played)
+    await opened(pilot, "j", "j", "x")
+    await shown(pilot, "Restart unit nav of the server?")
+    await pilot.press("y")
+    await shown(pilot, "restart under way")
     return answer
 
 
@@ -75,11 +79,7 @@ def held(app: ConsoleApp, monkeypatch: pytest.MonkeyPatch) -> Future[UnitOutcome
 async def test_an_action_under_way_is_not_asked_twice(
     app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    answer = held(app, monkeypatch)
-    await opened(pilot, "j", "j", "x")
-    await shown(pilot, "Restart unit nav of the server?")
-    await pilot.press("y")
-    await shown(pilot, "restart under way")
+    answer = await restarting(pilot, monkeypatch)
     await pilot.press("x")
     await notified(pilot, UnitsScreenText.WAIT, name="nav", action="restart")
     answer.set_exception(EngineError("the link was lost"))
@@ -90,11 +90,7 @@ async def test_an_action_under_way_is_not_asked_twice(
 async def test_a_result_outlives_the_screen(
     app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    answer = held(app, monkeypatch)
-    await opened(pilot, "j", "j", "x")
-    await shown(pilot, "Restart unit nav of the server?")
-    await pilot.press("y")
-    await shown(pilot, "restart under way")
+    answer = await restarting(pilot, monkeypatch)
     await pilot.press("escape")
     await gone(pilot, "restart under way")
     answer.set_result(UnitOutcome(done=True, seconds=4.2, state=UnitState.RUNNING))
