@@ -14,12 +14,11 @@ def test_folders_and_files_that_lanes_name_exist() -> None:
     assert [name for name in named if not any((folder / name).exists() for folder in (tests, tests.parent))] == []
 
 
-def test_computing_files_have_three_lanes_others_their_own() -> None:
-    assert {lanes.lane_of(f"tests/{folder}/test_x.py::test_y[a::b]") for folder in lanes.COMPUTING} == {
-        "simulation",
-        "checks",
-        "pure",
-    }
+def test_folders_have_few_lanes_and_other_files_their_own() -> None:
+    computing = {lanes.lane_of(f"tests/{folder}/test_x.py::test_y[a::b]") for folder in lanes.COMPUTING}
+    assert {lane.split("/")[0] for lane in computing} == {"simulation", "checks", "pure"}
+    files = [f"tests/simulation/test_{letter}.py::test_y" for letter in "abcdefg"]
+    assert len({lanes.lane_of(each) for each in files}) == lanes.SHARED["simulation"]
     assert lanes.lane_of("tests/engine/test_late.py::test_y[a/b::c]") == "tests/engine/test_late.py"
     assert lanes.lane_of("tests/network/test_x.py::test_y") == lanes.lane_of("tests/network/test_z.py::test_y")
 

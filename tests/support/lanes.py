@@ -1,6 +1,6 @@
 """Lanes: tests that pytest-xdist runs in one worker, one after the other (``-n N --dist loadscope``).
 
-What only computes has three lanes and a lower priority, and fills the cores while the others wait. Where tests that
+What only computes has few lanes and a lower priority, and fills the cores while the others wait. Where tests that
 talk by DDS starve, one participant of a process may discover another without being discovered by it, for good (seen
 once in 700 starts on a core shared by eight). Every other file is a lane of its own.
 """
@@ -23,8 +23,8 @@ COMPUTING = {
 }
 ALONE = {"bluetooth", "network", "release"}
 """Folders whose tests share machines, hosts or builds."""
-SHARED = {"calls": 3}
-"""Folders that start processes for all their tests, and so run in a few lanes."""
+SHARED = {"calls": 3, "simulation": 3}
+"""Folders of which all tests need the same processes, or that only compute for long, and so run in a few lanes."""
 FIRST = ("simulation", "checks", "pure", *ALONE, "soak", "calls", "tests/system/test_torture.py")
 """What takes the longest: begun late, it has one worker wait at the end while the others have nothing to do."""
 _USUAL = os.getpriority(os.PRIO_PROCESS, 0)
@@ -36,12 +36,12 @@ def folder_of(nodeid: str) -> str:
 
 def lane_of(nodeid: str) -> str:
     folder, file = folder_of(nodeid), nodeid.split("::", 1)[0]
+    if folder in SHARED:
+        return f"{folder}/{sum(file.encode()) % SHARED[folder]}"
     if folder in COMPUTING:
         return COMPUTING[folder]
     if folder in ALONE:
         return folder
-    if folder in SHARED:
-        return f"{folder}/{sum(file.encode()) % SHARED[folder]}"
     return file
 
 
@@ -64,7 +64,7 @@ def sort_by_lane(items: list[pytest.Item]) -> None:
 
 def give_way(item: pytest.Item) -> None:
     """Lower this worker's priority for tests that only compute; who is not root cannot raise it again."""
-    wanted = max(5, _USUAL) if lane_of(item.nodeid) in COMPUTING.values() else _USUAL
+    wanted = max(5, _USUAL) if folder_of(item.nodeid) in COMPUTING else _USUAL
     if os.getpriority(os.PRIO_PROCESS, 0) != wanted:
         with contextlib.suppress(PermissionError):
             os.setpriority(os.PRIO_PROCESS, 0, wanted)
