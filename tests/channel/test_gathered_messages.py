@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import contextmanager
+from itertools import cycle
 from typing import TYPE_CHECKING
 
 import pytest
@@ -98,3 +99,20 @@ async def test_gathered_messages_fill_the_window() -> None:
             while not channel.congested:
                 near.routes[1].send(bytes(1000))
             assert limit <= near.scheduler.gathered < limit + 1000
+
+
+async def test_streams_share_the_bytes_to_spare() -> None:
+    async with connected(*routes()) as (near, far):
+        near.routes[2].send(bytes(LARGE))  # moves it to the other stream
+        await far.ticks_until(lambda: bool(far.routes[2].arrived))
+        await far.acknowledges_all()
+        channels = [near.routes[number].channel for number in (1, 2)]
+        assert channels[0].via is not channels[1].via
+        limit = near.scheduler.window.limit - near.scheduler.sent
+        with one_moment(near):
+            numbers = cycle((1, 2))
+            while not any(each.congested for each in channels):
+                near.routes[next(numbers)].send(bytes(1000))
+            assert limit <= near.scheduler.gathered < limit + 1000
+        assert not any(each.via.spare for each in channels)
+        await far.acknowledges_all()

@@ -106,6 +106,8 @@ class DataStream(Carrier, StreamHandler):
         acknowledged: bytes that have arrived.
         resumed: bytes with which routes have said that they resume on it.
         unwritten: messages in the next bytes that are written.
+        gathered: messages that leave together (`gathers`).
+        gathered_size: bytes of these.
         counter: counts received bytes.
     """
 
@@ -116,8 +118,8 @@ class DataStream(Carrier, StreamHandler):
         self.sent = self.acknowledged = self.resumed = 0
         self.unwritten: list[Sent] = []
         self.counter = ReceiptCounter()
-        self._gathered: list[Sent] = []
-        self._gathered_size = 0
+        self.gathered: list[Sent] = []
+        self.gathered_size = 0
         self._pair = pair
         self._kept: deque[tuple[int, list[Sent]]] = deque()  # by how many bytes have left with them
         self._settled = 0  # bytes that are not in transit: acknowledged or written off
@@ -153,34 +155,31 @@ class DataStream(Carrier, StreamHandler):
         if self.stream.congested and isinstance(data, memoryview):
             self._pair.keys.scratch.lost()  # the stream's, until it has sent it
 
-    def gather(self, sender: StreamSender, batch: Sequence[Message], size: int) -> bool:
-        """Have messages of `size` bytes leave with those of other routes that come in this moment, if more may come.
+    def gathers(self) -> bool:
+        """Whether the next messages leave with those of other routes that come in this moment: then put them there.
 
-        Returns:
-            Whether they do. They are neither sealed nor counted before.
+        They are neither sealed nor counted before.
         """
         joined = self.stream.joined
         if joined is None or not joined.is_open:
             return False
-        if not self._gathered:
-            joined.gather(self.write_gathered)
-        self._gathered.append((sender, batch))
-        self._gathered_size += size
-        self.scheduler.gathered += size
-        if self._gathered_size >= _GATHERED:
+        if self.gathered_size >= _GATHERED:
             self.write_gathered()
+        if not self.gathered:
+            joined.gather(self.write_gathered)
+        self.spare = min(_GATHERED - self.gathered_size, self.scheduler.spare_of_one())
         return True
 
     def write_gathered(self) -> None:
-        gathered, size, scheduler = self._gathered, self._gathered_size, self.scheduler
+        gathered, scheduler = self.gathered, self.scheduler
+        self.spare = 0
         if not gathered:
             return
-        self._gathered, self._gathered_size = [], 0
-        scheduler.gathered -= size
-        parts: list[bytes] = []
-        for sender, batch in gathered:
-            parts.append(data := sender.seal(batch))
-            scheduler.charge(sender, len(data))
+        self.gathered = []
+        scheduler.gathered -= self.gathered_size
+        self.gathered_size = 0
+        parts = [sender.seal(batch) for sender, batch in gathered]
+        scheduler.charge(self, [(sender, len(data)) for (sender, _), data in zip(gathered, parts, strict=True)])
         self.unwritten += gathered
         scheduler.write(self, b"".join(parts))
 
@@ -672,10 +671,14 @@ class StreamSender(_StreamEnd, SendingChannel):
         size = len(batch[0][0]) if len(batch) == 1 else sum([len(payload) for payload, _, _ in batch])
         if size <= scheduler.chunk and (size < LARGE or not self._must_move(size)):
             # Nothing waits, so there is no turn to wait for: the hot path.
-            if via.gather(self, batch, size):
+            if size < via.spare or via.gathers():
+                via.gathered.append((self, batch))
+                via.gathered_size += size
+                via.spare -= size
+                scheduler.gathered += size
                 return
             data = self.seal(batch)
-            scheduler.charge(self, len(data))
+            scheduler.charge(via, ((self, len(data)),))
             via.unwritten.append((self, batch))
             via.write(data, scheduler.count(len(data)))
             return

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING
 from rsb_bridge.channel.channel import DataChannel
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from rsb_bridge.channel.channel import RouteSink
     from rsb_bridge.channel.window import ReceiptBook, Window
@@ -56,6 +56,7 @@ class Carrier(ABC):
         behind: what its virtual time is behind the link's, because it was congested while other streams sent.
         moved_at: time (s) of its last receipt, or of its oldest unacknowledged byte if that came later.
         over: whether it is lost or closed: no route gets a turn on it any more.
+        spare: bytes that it takes next without further questions, as it gathers messages and nothing waits.
     """
 
     def __init__(self, scheduler: Scheduler) -> None:
@@ -64,6 +65,7 @@ class Carrier(ABC):
         self.time = self.behind = 0
         self.moved_at = -math.inf
         self.over = False
+        self.spare = 0
         scheduler.add(self)
 
     @property
@@ -194,16 +196,22 @@ class Scheduler:
             end.queued = False  # its entry stays in the heap, which gives only its first one: `_next` drops it
             self._waiting -= 1
 
-    def charge(self, end: SendingChannel, size: int) -> None:
-        """Move the start of a route's next turn by `size` bytes that it sends without waiting, as nothing waits.
+    def spare_of_one(self) -> int:
+        """Return the bytes that the window takes, which are to spare for one stream (`Carrier.spare`) at a time."""
+        for each in self._carriers:
+            each.spare = 0
+        return self.window.limit - self.sent - self.gathered
 
-        The link's time moves, too: else the route would pay for these bytes once others wait.
+    def charge(self, via: Carrier, sent: Iterable[tuple[SendingChannel, int]]) -> None:
+        """Move the starts of routes' next turns on `via` by bytes that they send without waiting, as nothing waits.
+
+        The link's time moves, too: else the routes would pay for these bytes once others wait.
         """
-        via = end.via
-        start = max(end.start, self._time - via.behind)
-        via.time = start
-        self._time = start + via.behind
-        end.start = start + size * _UNIT // end.route.weight
+        for end, size in sent:
+            start = max(end.start, self._time - via.behind)
+            via.time = start
+            self._time = start + via.behind
+            end.start = start + size * _UNIT // end.route.weight
 
     def write(self, carrier: Carrier, data: bytes | memoryview) -> None:
         carrier.write(data, self.count(len(data)))
@@ -431,7 +439,8 @@ class SendingChannel(DataChannel):
         scheduler = self._scheduler
         if size > scheduler.chunk or self.queued or self._messages:
             return False
-        return scheduler.is_free and not self.via.congested
+        via = self.via
+        return size < via.spare or (scheduler.is_free and not via.congested)
 
     @property
     def batch_bytes(self) -> int:

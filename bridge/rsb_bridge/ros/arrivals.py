@@ -83,38 +83,29 @@ class Arrivals(Protocol):
         """Free what it waits with, after the endpoints."""
 
 
-class _Due:
-    """Endpoints that are to be looked at again: at once, or after a rest."""
-
-    def __init__(self) -> None:
-        self._at: dict[int, float] = {}
+class _Due(dict[int, float]):
+    """Endpoints that are to be looked at again, at once or after a rest: when (s), by their addresses."""
 
     def put(self, address: int, after: float) -> None:
-        self._at[address] = time.monotonic() + after if after else 0.0
-
-    def forget(self, address: int) -> None:
-        self._at.pop(address, None)
-
-    def __bool__(self) -> bool:
-        return bool(self._at)
+        self[address] = time.monotonic() + after if after else 0.0
 
     def resting(self) -> set[int]:
         now = time.monotonic()
-        return {address for address, at in self._at.items() if at > now}
+        return {address for address, at in self.items() if at > now}
 
     def within(self, longest: float | None) -> float | None:
         """Return how long to wait at most, so that the first of them is looked at in time."""
-        if not self._at:
+        if not self:
             return longest
-        first = max(0.0, min(self._at.values()) - time.monotonic())
+        first = max(0.0, min(self.values()) - time.monotonic())
         return first if longest is None else min(first, longest)
 
     def take(self) -> list[int]:
         """Remove and return those whose time has come."""
         now = time.monotonic()
-        due = [address for address, at in self._at.items() if at <= now]
+        due = [address for address, at in self.items() if at <= now]
         for address in due:
-            del self._at[address]
+            del self[address]
         return due
 
 
@@ -169,7 +160,7 @@ class EventArrivals:
         if ON_ARRIVAL[endpoint.kind](address, None, None):
             reset_error()
             self._kept.add(self._descriptors[address])
-        self._due.forget(address)
+        self._due.pop(address, None)
         self._forget(address)
 
     def _forget(self, address: int) -> None:
@@ -202,8 +193,9 @@ class EventArrivals:
                 self._watch.check()
                 graph_changed = True
         # What rests is looked at after that, and so need not be remembered.
-        resting = due.resting() if due else ()
-        ready = [each for each in addresses if each not in resting]
+        for each in due.resting() if due else ():
+            addresses.pop(each, None)
+        ready = [*addresses]
         if self._urgent and len(ready) > 1:
             ready.sort(key=self._urgent.__contains__, reverse=True)
         return ready, graph_changed
@@ -311,7 +303,7 @@ class WaitSetArrivals:
         self.wake()
 
     def remove(self, endpoint: Incoming) -> None:
-        self._due.forget(endpoint.handle.address)
+        self._due.pop(endpoint.handle.address, None)
         self._endpoints.pop(endpoint.handle.address, None)
         self._changed = True
 

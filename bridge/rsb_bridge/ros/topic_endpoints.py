@@ -101,7 +101,7 @@ class Reader:
             RosError: rcl failed at the first of them.
         """
         address, buffer, info, numbers = self.handle.address, self._buffer, self._info, self.numbers
-        guid_of, last = self._guid_of, numbers.newest
+        guid_of, last, large, small = self._guid_of, numbers.newest, buffer.large, buffer.small
         buffer_reference, unpack = ctypes.byref(buffer), MESSAGE_INFO.unpack_from
         taken: list[RawMessage] = []
         size = 0
@@ -141,7 +141,8 @@ class Reader:
             if number > previous + 1:
                 numbers.lose(number - previous - 1)
             last[gid] = number
-            taken.append(_new(RawMessage, (buffer.taken(), stamp, gid, number, 0, source)))
+            payload = buffer.taken() if large else small[:length].tobytes()
+            taken.append(_new(RawMessage, (payload, stamp, gid, number, 0, source)))
         return taken if size else None
 
     @property

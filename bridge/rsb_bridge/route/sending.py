@@ -508,8 +508,27 @@ class OutgoingPath:
         """Take messages from ROS, oldest first."""
         if self._route.idle:
             self._route.wake()
-        if self._is_plain and self._send_plain(batch):
+        publisher = batch[0].gid
+        source = self.loop_filter.table.flags.get(publisher) if self._is_plain else None
+        if source is None or self.histories is not None or self._flow.peek_slot.wanted or self._context.stamps.shift:
+            self._offer_asked(batch)
             return
+        # Nothing is asked of a plain topic's messages but their source. Nearly all topics are plain, and nearly all
+        # messages of a turn come alone.
+        messages: list[Message] = []
+        size = 0
+        for payload, stamp, gid, _, _, _ in batch:
+            if gid != publisher:
+                self._offer_asked(batch)
+                return
+            messages.append((payload, stamp, source))
+            size += len(payload)
+        self.ledger.offered += len(batch)
+        self.traffic.offered += len(batch)
+        self._send(messages, size, publisher)
+
+    def _offer_asked(self, batch: Sequence[RawMessage]) -> None:
+        """Take messages of which more than their source is asked."""
         if self._batch is not None and (why := self._batch(NO_SAMPLE, self._context.now())) is not None:
             self.ledger.lose(CAUSES[why], len(batch))
             return
@@ -518,29 +537,6 @@ class OutgoingPath:
         elif shift := self._context.stamps.shift:
             batch = [each._replace(stamp=shifted(each.stamp, shift)) for each in batch]
         self.receive(self._arriving(batch))
-
-    def _send_plain(self, batch: Sequence[RawMessage]) -> bool:
-        """Send messages of one publisher, or return False if there is more to ask of them than their source.
-
-        Nearly all topics are plain, and nearly all messages of a turn come alone.
-        """
-        if self.histories is not None or self._flow.peek_slot.wanted or self._context.stamps.shift:
-            return False
-        publisher = batch[0].gid
-        source = self.loop_filter.table.flags.get(publisher)
-        if source is None:
-            return False
-        messages: list[Message] = []
-        size = 0
-        for payload, stamp, gid, _, _, _ in batch:
-            if gid != publisher:
-                return False
-            messages.append((payload, stamp, source))
-            size += len(payload)
-        self.ledger.offered += len(batch)
-        self.traffic.offered += len(batch)
-        self._send(messages, size, publisher)
-        return True
 
     def too_late(self, batch: Sequence[RawMessage]) -> None:
         """Drop messages that come after their opening."""

@@ -130,13 +130,14 @@ class VolatileTopic:
         size, waiting = len(content) + MESSAGE_COST, self._waiting
         is_full = len(waiting) >= self._depth
         memory = waiting[0] if is_full else self._free[-1] if self._free else 0
-        if (
-            size <= memory and size - memory <= self._asks_beyond - self._held and self._successor is None
-        ):  # nothing more is held
-            waiting.append(memory)
+        held = self._held if size <= memory else self._held + size - memory
+        if held <= self._asks_beyond and (held == self._held or held <= FREE) and self._successor is None:
+            # Nothing more is held, or not much: what `_make_room` does, without a call.
+            waiting.append(max(size, memory))
+            self._held = held
             if is_full:
                 waiting.popleft()
-            else:
+            elif self._free:
                 self._free.pop()
         else:
             self._make_room(size, memory)

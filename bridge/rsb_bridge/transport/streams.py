@@ -142,11 +142,14 @@ class JoinedWrites:
             stream.send_held(held)
 
     def send_all(self) -> None:
-        """Send all that is held."""
-        self._write_gathered()
+        """Send all that is held, and what is gathered, which comes behind it."""
         while self._held:
             stream, held = self._held.popitem()
             stream.send_held(held)
+        if self._gathering:
+            was_open, self.is_open = self.is_open, False  # so that it is written at once: there is no more to hold
+            self._write_gathered()
+            self.is_open = was_open
 
     def _write_gathered(self) -> None:
         gathering, self._gathering = self._gathering, []

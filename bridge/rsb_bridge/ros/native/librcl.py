@@ -140,32 +140,34 @@ class TakeBuffer(Buffer):
 
     rcl asks the allocator for more memory where a message is larger than the buffer, and says how large it is; what it
     gets then is the content of a new bytes object. The buffer is shared by all that take on one thread.
+
+    Attributes:
+        large: the message that was just taken, if it is large.
+        small: the memory of one that is not.
     """
 
     def __init__(self) -> None:
         super().__init__()
-        self._large: list[bytes] = []
+        self.large: list[bytes] = []
         self._memory = ctypes.create_string_buffer(_COPIED_BELOW)
         self._start = ctypes.addressof(self._memory)
-        self._bytes = memoryview(self._memory).cast("B")
-        self._callbacks = _REALLOCATE(_growing(self._large)), _DEALLOCATE(_keep)
+        self.small = memoryview(self._memory).cast("B")
+        self._callbacks = _REALLOCATE(_growing(self.large)), _DEALLOCATE(_keep)
         self.allocator.reallocate, self.allocator.deallocate = (
             ctypes.cast(each, ctypes.c_void_p) for each in self._callbacks
         )
         self._shrink()
 
     def taken(self) -> bytes:
-        """Return the message that was just taken; to be asked once."""
-        if not self._large:
-            return self._bytes[: self.length].tobytes()
-        payload = self._large.pop()
+        """Return the message that was just taken, if it is in `large`; to be asked once."""
+        payload = self.large.pop()
         self._shrink()
         return payload
 
     def discard(self) -> None:
         """Forget the message that was just taken."""
-        if self._large:
-            self._large.clear()
+        if self.large:
+            self.large.clear()
             self._shrink()
 
     def free(self) -> None:
