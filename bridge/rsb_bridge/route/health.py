@@ -74,6 +74,11 @@ class Health:
         """Whether messages are neither lost nor slow nor missing."""
         return self.losses.loss is None and self.slow.since is None and self.stop.since is None
 
+    @property
+    def is_calm(self) -> bool:
+        """Whether none was lost in the last seconds."""
+        return self.losses.is_calm and not self.lost_in_dds()
+
     def next_change(self, now: float) -> float:
         """Return when (s) one of these may change without a message, `now` if at any moment, or infinity."""
         return now if self.losses.loss is not None or self.slow.since is not None else self.stop.next_change

@@ -331,6 +331,9 @@ class Receiver:
     def is_well(self, now: float) -> bool:
         return self.flow.is_well(now) and not self.listeners.unmatched
 
+    def is_calm(self, now: float) -> bool:
+        return not self._is_polled and self.flow.is_calm(now)
+
     def act(self, now: float, crossing: Crossing) -> None:
         self.flow.act(now, awaited=crossing.flows)
         self.outputs.tick()

@@ -448,6 +448,12 @@ class Route:
         )  # fmt: skip
         return now if restless else min(self.judged.next_change, of_half)
 
+    def _is_calm(self, now: float) -> bool:
+        """Whether nothing of the last seconds counts any more."""
+        # Datagrams may still get lost, and a refusal is shown for a while.
+        calm = self.meter.still and self.transport.reliable and not self.reopening.refused
+        return calm and self.half.is_calm(now)
+
     def tick(self) -> None:
         """Update the figures and report a changed verdict; called once a second while the route is not idle."""
         now, crossing, learns = self.context.now(), self.crossing, self.half.facts.learns
@@ -473,7 +479,7 @@ class Route:
         self.half.act(now, crossing)
         # Last, so that the signs contain all that the tick has changed; else the next one, which comes in a second.
         signs = self.idling.signs if fine and passed != self.idling.passed else self._signs()
-        self.idling.ticked(signs, passed, now, lambda: self._next_change(now, crossing))
+        self.idling.ticked(signs, passed, now, lambda: self._next_change(now, crossing), self._is_calm)
         # Of one that rests from now on, the last figures are shown.
         self.only_counts = self.only_counts and self.idling.signs is self._shown_signs and self.idling.until <= now
 

@@ -337,6 +337,10 @@ class Sender:
             and len(self.carried.endpoints) == 1
         )  # fmt: skip
 
+    def is_calm(self, now: float) -> bool:
+        calm = not self._is_polled and self.subscription.is_settled
+        return calm and self.health.is_calm and self.delays.is_outdated(now) and self.flow.is_calm(now)
+
     def act(self, now: float, crossing: Crossing) -> None:
         profile_rate = (self.route.peer.profile.max_rate or 0.0) if self._profile_limits else 0.0
         if self.route.limit.set_profile_rate(profile_rate) and self.route.id:

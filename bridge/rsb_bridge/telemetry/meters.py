@@ -263,6 +263,11 @@ class LatencyMeter:
             self.p50 = ordered[len(ordered) // 2]
             self.p99 = ordered[min(len(ordered) - 1, len(ordered) * 99 // 100)]
 
+    @property
+    def is_blank(self) -> bool:
+        """Whether there are no samples, and the other side's figures no longer count."""
+        return not (self._samples or self._reported_for)
+
     def _drop_outdated(self, fresh: int) -> bool:
         """Drop the samples that no longer count, and return whether there were any."""
         if not self._ticks:

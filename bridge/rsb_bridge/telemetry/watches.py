@@ -257,6 +257,12 @@ class LossWatch:
         elif settled or now - self._marks[0][0] >= LATELY:
             self.loss = None
 
+    @property
+    def is_calm(self) -> bool:
+        """Whether none was lost in the last seconds, nor since the last one that arrived."""
+        marks = self._marks
+        return self.loss is None and not self._row.lost and (not marks or marks[0][2] == marks[-1][2])
+
     def _count_since_loss(self, now: float) -> None:
         if len(self._marks) < 2:
             return
