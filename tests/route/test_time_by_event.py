@@ -211,7 +211,6 @@ def _never(*_: object, **__: object) -> float:
 MUTATIONS: list[tuple[Place, object]] = [
     (replaced.WAKE, lambda *_: None),
     (replaced.SIGNS_MISSED, lambda *_: False),
-    (replaced.SETTLES, 2.0),
     (replaced.HEALTH_CHANGES, _never),
     (replaced.LOG_CHANGES, property(_never)),
     (replaced.NEXT_WARNING, property(_never)),

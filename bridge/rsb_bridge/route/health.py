@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from rsb_bridge.telemetry.watches import LATELY, LossWatch, SlowWatch, StopWatch
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Sequence
 
     from rsb_bridge.model.snapshot import Ledger
     from rsb_bridge.ros.ros_interface import Endpoint
@@ -29,13 +29,15 @@ class Health:
         self.stop = StopWatch()
         self.losses = LossWatch()
         self._lost_in_dds: deque[int] = deque(maxlen=LATELY)
+        self._publishers: Sequence[Endpoint] = ()
+        self._gids: frozenset[bytes] = frozenset()  # of these
 
     def judge(
         self,
         route: Route,
         ledger: Ledger,
         now: float,
-        publishers: Iterable[Endpoint],
+        publishers: Sequence[Endpoint],
         *,
         usual_rate: float | None,
         quiet_since: float,
@@ -62,8 +64,9 @@ class Health:
             self.stop.reset()
             self.slow.reset()
             return
-        gids = frozenset([each.gid for each in publishers])
-        self.stop.judge(quiet_since, expected, now, gids, promised=promised)
+        if publishers is not self._publishers:  # they are replaced, never changed
+            self._publishers, self._gids = publishers, frozenset([each.gid for each in publishers])
+        self.stop.judge(quiet_since, expected, now, self._gids, promised=promised)
         if self.stop.since is not None or not flows:
             self.slow.reset()
         elif not self.stop.quiet:  # a pause is not slow

@@ -432,7 +432,10 @@ class _Reliability:
         Args:
             heard: those that the reliable subscription has heard.
         """
-        now, doubtful = self._route.context.loop.time(), {each.gid: each for each in publishers if each.may_not_repeat}
+        doubtful = {each.gid: each for each in publishers if each.may_not_repeat}
+        if not (doubtful or self.awaits):  # nearly always
+            return
+        now = self._route.context.loop.time()
         if self._found:
             if self._found not in doubtful:  # it has gone
                 self._found = b""

@@ -213,7 +213,8 @@ class LossWatch:
             delivered: messages that arrived and were published.
             lost: messages that did not, by cause.
         """
-        lost = {cause: count for cause, count in lost.items() if cause not in _NO_LOSS}
+        if lost:  # seldom
+            lost = {cause: count for cause, count in lost.items() if cause not in _NO_LOSS}
         if self._marks and delivered < self._marks[-1][1]:
             self.reset()  # the counts have begun again
         self._marks.append((now, delivered, lost))
