@@ -244,7 +244,9 @@ class Announcer:
         flaps_at = math.inf if self._logged_as or self._bad_since is None else self._bad_since + _LOSS_LASTS
         lasts_at = self._since + (_LOSS_LASTS if verdict.cause == Cause.LOSSY else _LASTS)
         if now < (due := min(lasts_at, flaps_at)):
-            self.next_change = due
+            # Most of what a route waits for is never logged.
+            is_logged = verdict.state is not State.WAITING or verdict.cause in _MENDABLE
+            self.next_change = due if is_logged else math.inf
             return None
         if verdict.state is State.OK:
             self._heard = True

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 SETTLES = 12.0
 """s after an event for which a route is ticked: longer than `watches.LATELY`, `topic_flow._LATENCY_TICKS` and
 `combined_verdict._WAITS`. Longer windows of the rules are in `next_change`."""
-_CALMS = 3.0
-"""s after an event for which a route is ticked that is calm: longer than `lateness.REPORTED_LATELY`."""
+_CALMS = 1.0
+"""s after an event for which a route is ticked that is calm: all that follows from it at once has followed."""
 POLLED_EVERY = 15.0  # s, at most, between two ticks of a route with something that does not tell when it changes
 _MOST_OUTDATED = 4096  # times of routes that were woken meanwhile, about, until they are looked through
 
