@@ -23,12 +23,13 @@ from tests.support import replaced
 from tests.support.offline import FakePeer, half_of, loop, make_context
 from tests.support.virtual_time import VirtualLoop, virtual_loop
 
+from rsb_bridge.model.audience import Audience
 from rsb_bridge.model.capacity import Fullness
 from rsb_bridge.model.faults import PathFault
 from rsb_bridge.model.reason import Reason
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
-from rsb_bridge.model.verdict import Cause, LinkCause
+from rsb_bridge.model.verdict import Cause, LinkCause, Verdict
 from rsb_bridge.ros.publication_numbers import PublicationNumbers
 from rsb_bridge.route.blocking_rules import judge
 from rsb_bridge.route.receiver import Receiver
@@ -254,6 +255,21 @@ def test_topic_that_flows_is_judged_only_when_something_changes(
     assert judged(life.half, loop, 30) == 0
     life.peer.path.fault = PathFault(LinkCause.SILENT, "a fault of the path")
     assert judged(life.half, loop, 5) == 5
+
+
+def test_topic_that_nobody_hears_is_judged_only_when_something_changes(
+    loop: VirtualLoop, make_context: Callable[..., Context]
+) -> None:
+    half: Any = half_of(Receiving, make_context(), Topic("/scan", "transmit"), FakePeer())
+    half.route.open(1)
+    half.route.on_accepted()
+    half.carried.channel = Channel()
+    unheard = Verdict(State.UNHEARD, Cause.NO_SUBSCRIBER, "nobody subscribes")
+    with patch.object(Receiving, "rules", (lambda *_: unheard,)):
+        assert judged(half, loop, 30) < 20
+        assert judged(half, loop, 30) == 0
+        half.flow.audience = Audience(1, ("/rviz",))
+        assert judged(half, loop, 5) == 5
 
 
 NOT_WELL: list[tuple[type[Any], str, object]] = [

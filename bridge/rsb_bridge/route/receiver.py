@@ -278,7 +278,7 @@ class Receiver:
             self.flow.drivers.look(self.listeners.further)
         self._judge_lateness(now, flows=crossing.flows, learns=learns)
         self.route.age.update(self.path.received, now)
-        if self.route.link_full is not None:
+        if not learns and self.route.link_full is not None:  # in this order: on a full link, nothing is learned
             self.flow.full_at = now
         if self.route.age.only_newest or self.flow.left_out.is_on:
             self.flow.left_out.judge(self.facts.ledger, now)

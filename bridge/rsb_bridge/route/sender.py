@@ -326,7 +326,7 @@ class Sender:
             self.flow.drivers.look(self.carried.endpoints, counted=self.subscription.receives)
         self._judge_lateness(now, flows=flows, learns=learns)
         self.route.age.update(self.counts.offered, now)
-        if self.route.link_full is not None:
+        if not learns and self.route.link_full is not None:  # in this order: on a full link, nothing is learned
             self.flow.full_at = now
         if self.route.age.only_newest or self.flow.left_out.is_on:
             self.flow.left_out.judge(ledger, now)

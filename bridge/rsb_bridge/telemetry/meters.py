@@ -177,7 +177,8 @@ class RateMeter:
 
     def _rate(self) -> float:
         """Return the rate, or 0 once an expected message is missing; a silent second makes it no higher."""
-        missed = max(_WINDOWS[0], 3 / self.usual_rate) if self.usual_rate else _WINDOWS[-1]
+        usual = self._usual.rate
+        missed = max(_WINDOWS[0], 3 / usual) if usual else _WINDOWS[-1]
         if self._quiet >= int(missed):
             return 0.0
         count, end = self._marks[-1]
