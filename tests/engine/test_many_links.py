@@ -58,6 +58,8 @@ class Turns:
 class Link:
     """A link with a few routes that notes each look at any of them."""
 
+    only_counts = False
+
     def __init__(self, turns: Turns, routes: int) -> None:
         self.turns = turns
         self.routes: dict[str, Any] = {str(number): Route(turns) for number in range(routes)}
@@ -273,3 +275,27 @@ def test_while_nobody_looks_figures_alone_are_seldom_renewed(
     assert renewals(5) == 20 + 4, "a single look waits for a renewal of its own"
     shown.newest()
     assert renewals(1) == 20, "somebody goes on looking"
+
+
+def test_while_nobody_looks_figures_of_links_are_seldom_renewed(
+    loop: VirtualLoop, make_context: Callable[..., Context]
+) -> None:
+    turns = Turns(loop)
+    links = [Link(turns, routes=0) for _ in range(10)]
+    shown = publisher(make_context())
+
+    def renewals(seconds: int) -> int:
+        before = turns.calls
+        for _ in range(seconds):
+            loop.run_until_complete(shown.refresh(Many(links)))
+        return turns.calls - before
+
+    assert renewals(1) == 10
+    for link in links:
+        link.only_counts = True
+    assert renewals(5) == 10, "each had its turn"
+    links[3].only_counts = False
+    assert renewals(5) == 10 + 4, "what may have changed has its turn each second"
+    shown.newest()
+    shown.newest()
+    assert renewals(1) == 10, "somebody goes on looking"

@@ -99,12 +99,11 @@ DOWN = VerdictRecord("DOWN", Cause.NOT_PUBLISHED, "refused by the middleware")
     [
         lambda world: world.sender.flow.count(1, 100, world.sender.route.context.now()),
         lambda world: world.find_talker("/other"),
-        lambda world: world.sender.route.pausing.change(paused=True),
         lambda world: world.sender.route.limit.set_max_rate(7.0),
         lambda world: world.sender.reported(ReceivedReport(route=1, verdict=DOWN)),
         lambda world: world.sender.route.judge_again(),
     ],
-    ids=["message", "endpoint", "pause", "limit", "report", "again"],
+    ids=["message", "endpoint", "limit", "report", "again"],
 )
 def test_whatever_happens_has_it_ticked_each_second_for_a_while(
     happens: Callable[[World], None], loop: VirtualLoop, make_context: Callable[..., Context]
@@ -118,6 +117,16 @@ def test_whatever_happens_has_it_ticked_each_second_for_a_while(
     assert len(world.ticks) == SETTLES
     world.wait(200)
     assert len(world.ticks) < SETTLES + 100, "a message is in the rate for half a minute"
+
+
+def test_route_that_nothing_counts_against_rests_soon(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
+    world = World(loop, make_context())
+    world.find_talker()
+    world.wait_until_idle()
+    world.sender.route.pausing.change(paused=True)
+    world.wait(SETTLES)
+    assert len(world.ticks) < SETTLES / 2
+    assert world.sender.route.idle
 
 
 @pytest.mark.parametrize("lasts", [World.fill_link, World.lose_packets], ids=["full", "path"])

@@ -8,6 +8,7 @@ verdicts, events and rates are compared each second.
 
 from __future__ import annotations
 
+from collections import Counter, deque
 from functools import partial
 from math import inf
 from random import Random
@@ -22,11 +23,13 @@ from tests.support import replaced
 from tests.support.offline import FakePeer, half_of, loop, make_context
 from tests.support.virtual_time import VirtualLoop, virtual_loop
 
+from rsb_bridge.model.audience import Audience
 from rsb_bridge.model.capacity import Fullness
 from rsb_bridge.model.faults import PathFault
+from rsb_bridge.model.reason import Reason
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
-from rsb_bridge.model.verdict import Cause, LinkCause
+from rsb_bridge.model.verdict import Cause, LinkCause, Verdict
 from rsb_bridge.ros.publication_numbers import PublicationNumbers
 from rsb_bridge.route.blocking_rules import judge
 from rsb_bridge.route.receiver import Receiver
@@ -49,7 +52,7 @@ _SEEDS = range(1, 13)
 
 _SUBSCRIPTION: Any = SimpleNamespace(
     spec=None, receives=True, failure="", numbers=PublicationNumbers(float), is_unmatched=False, awaits_match=False,
-    refuses=False, tick=lambda _: None, close=lambda: 0, unsubscribe=lambda: None,
+    is_settled=True, refuses=False, tick=lambda _: None, close=lambda: 0, unsubscribe=lambda: None,
 )  # fmt: skip
 """One that works."""
 
@@ -209,7 +212,6 @@ def _never(*_: object, **__: object) -> float:
 MUTATIONS: list[tuple[Place, object]] = [
     (replaced.WAKE, lambda *_: None),
     (replaced.SIGNS_MISSED, lambda *_: False),
-    (replaced.SETTLES, 2.0),
     (replaced.HEALTH_CHANGES, _never),
     (replaced.LOG_CHANGES, property(_never)),
     (replaced.NEXT_WARNING, property(_never)),
@@ -255,6 +257,21 @@ def test_topic_that_flows_is_judged_only_when_something_changes(
     assert judged(life.half, loop, 5) == 5
 
 
+def test_topic_that_nobody_hears_is_judged_only_when_something_changes(
+    loop: VirtualLoop, make_context: Callable[..., Context]
+) -> None:
+    half: Any = half_of(Receiving, make_context(), Topic("/scan", "transmit"), FakePeer())
+    half.route.open(1)
+    half.route.on_accepted()
+    half.carried.channel = Channel()
+    unheard = Verdict(State.UNHEARD, Cause.NO_SUBSCRIBER, "nobody subscribes")
+    with patch.object(Receiving, "rules", (lambda *_: unheard,)):
+        assert judged(half, loop, 30) < 20
+        assert judged(half, loop, 30) == 0
+        half.flow.audience = Audience(1, ("/rviz",))
+        assert judged(half, loop, 5) == 5
+
+
 NOT_WELL: list[tuple[type[Any], str, object]] = [
     *[
         (kind, name, value)
@@ -288,6 +305,55 @@ def test_half_says_each_reason_for_which_it_is_not_well(
         part = getattr(part, each)
     with patch.object(part, last, value):
         assert not half.is_well(loop.time())
+
+
+NOT_CALM: list[tuple[type[Any], str, object]] = [
+    *[
+        (kind, name, value)
+        for kind in (Sending, Receiving)
+        for name, value in (
+            ("route.meter.rate", 1.0),
+            ("route.reopening.refused", Reason("it was refused")),
+            ("route.age._since", 0.0),
+            ("flow.latency._samples", deque([0.1])),
+            ("flow.latency._reported_for", 1),
+            ("flow.lateness._other", 1),
+            ("flow.drivers._counts", {b"gid": 1}),
+            ("flow.drivers._ticks", deque([({b"gid": 1}, 1.0)])),
+            ("flow.left_out._count", 1),
+            ("flow.peek_slot._looked_at", inf),
+        )
+    ],
+    (Sending, "carried.endpoints", ()),
+    (Sending, "subscription.is_settled", False),
+    (Sending, "delays._reported_at", inf),
+    (Sending, "health._lost_in_dds", deque([0, 1])),
+    (Sending, "health.losses._row.lost", Counter({"lost": 1})),
+    (Sending, "health.losses._marks", deque([(0.0, 0, {}), (1.0, 0, {"lost": 1})])),
+    (Receiving, "carried.type_name", "std_msgs/msg/String"),
+]
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "value"), NOT_CALM, ids=[f"{kind.__name__}.{name}" for kind, name, _ in NOT_CALM]
+)
+def test_half_says_each_reason_for_which_it_is_not_calm(
+    kind: type[Any], name: str, value: object, loop: VirtualLoop, make_context: Callable[..., Context]
+) -> None:
+    half = half_of(kind, make_context(), Topic("/scan", "transmit"), FakePeer())
+    half.route.open(1)
+    half.route.on_accepted()
+    half.carried.channel = Channel()
+    half.carried.endpoints = (TALKER,)
+    loop.jump(10.0)
+    half.route.tick()
+    assert half.route._is_calm(loop.time())
+    *path, last = name.split(".")
+    part = half
+    for each in path:
+        part = getattr(part, each)
+    with patch.object(part, last, value):
+        assert not half.route._is_calm(loop.time())
 
 
 def test_route_that_comes_to_rest_has_to_be_shown_once_more(

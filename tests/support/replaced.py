@@ -20,7 +20,6 @@ OPEN_DATA_STREAM = Place("rsb_bridge.link.client_channels", "ClientChannels._ope
 STREAM_ARRIVES = Place("rsb_bridge.link.link_server", "Server.make_handler")
 WAKE = Place("rsb_bridge.route.idling", "Idling.wake")
 SIGNS_MISSED = Place("rsb_bridge.route.idling", "Idling.missed")
-SETTLES = Place("rsb_bridge.route.idling", "SETTLES")
 SIGNS_LAST = Place("rsb_bridge.route.idling", "Idling.lasts")
 IS_WELL = Place("rsb_bridge.route.sender", "Sender.is_well")
 HEALTH_CHANGES = Place("rsb_bridge.route.health", "Health.next_change")

@@ -11,7 +11,7 @@ import pytest
 
 from rsb_bridge.model.snapshot import Ledger
 from rsb_bridge.route.health import Health
-from rsb_bridge.telemetry.meters import RateMeter
+from rsb_bridge.telemetry.meters import RateMeter, UsualRate
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -169,3 +169,37 @@ def test_given_rate_counts_for_every_pause() -> None:
     gaps = [jittered(1.0, 0.0), poisson(5.0)]
     for each in gaps:
         assert len(watched(each, 600.0, 1, outages=outages, given=1.0).stopped) == len(outages)
+
+
+class AddedUp(UsualRate):
+    """Adds all of its samples up anew whenever one comes."""
+
+    __slots__ = ()
+
+    def _sample(self, gaps: int, seconds: float) -> None:
+        super()._sample(gaps, seconds)
+        self._sums = (
+            sum(each for each, _ in self._samples),
+            sum(each for _, each in self._samples),
+            sum(each * each / count for count, each in self._samples),
+        )
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_sums_kept_up_to_date_learn_the_same(seed: int) -> None:
+    random, now, last = Random(seed), 0.0, 0.0
+    kept, added_up = UsualRate(), AddedUp()
+    for second in range(4000):
+        if second % 300 == 0:
+            rate, noise, publishers = random.choice([0.1, 1.0, 10.0, 800.0]), random.choice([0.0, 0.05, 2.0]), 1
+        now += 1.0
+        if second % 1000 == 999:
+            publishers = 2
+        messages = int(rate * (now - last) + random.uniform(-noise, noise))
+        if messages > 0:
+            last = min(now, last + messages / rate)
+        for each in (kept, added_up):
+            each.published_by(publishers)
+            each.add(max(0, messages), last, now)
+        assert kept.regular == added_up.regular
+        assert kept.rate == pytest.approx(added_up.rate, rel=1e-9)

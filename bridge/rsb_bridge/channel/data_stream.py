@@ -609,7 +609,8 @@ class _StreamEnd(DataChannel):
             return Verdict(State.DOWN, Cause.NO_PATH, text)
         if self.is_suspended:
             return Verdict(State.WAITING, Cause.AWAITS_LINK, REOPENS)
-        if not any(self.uses(each) for each in self._pair.stuck if not each.over):
+        stuck = self._pair.stuck  # nearly never any
+        if not (stuck and any(self.uses(each) for each in stuck if not each.over)):
             return None
         text = "nothing gets through its data connection now: check the network and firewalls between the two sides"
         return Verdict(State.DOWN, Cause.NO_PATH, text)

@@ -23,7 +23,7 @@ from rsb_bridge.config.keys import shared_key_problem
 from rsb_bridge.config.session_changes import changes
 from rsb_bridge.config.validation import validate
 from rsb_bridge.engine.inspector import RouteInspector
-from rsb_bridge.engine.part import MovingPart
+from rsb_bridge.engine.part import EnginePart, MovingPart
 from rsb_bridge.engine.topic_commands import ArmingCommands, CommandLog, TopicCommands, named_in, route_in, undo_mark
 from rsb_bridge.installed_features import added, feature_faults
 from rsb_bridge.link.extension import LinkError
@@ -53,7 +53,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine, Iterator, Sequence
 
     from rsb_bridge.context import Context
-    from rsb_bridge.engine.part import EnginePart, Handlers
+    from rsb_bridge.engine.part import Handlers
     from rsb_bridge.link.link import Link
     from rsb_bridge.model.commands import Command, R
     from rsb_bridge.model.session import Session
@@ -140,6 +140,7 @@ class Bridge:
         self._shutdown_watch: LastingSubscription | None = None
         self._parts: list[EnginePart] = [TopicCommands(self), self._arming, RouteInspector(self)]
         self._parts += added("parts", self)
+        self._ticking = [part for part in self._parts if type(part).tick is not EnginePart.tick]
         self._moving = [part for part in self._parts if isinstance(part, MovingPart)]
         for part in self._parts:
             self.handlers = part.handlers | self.handlers
@@ -243,7 +244,7 @@ class Bridge:
                 link.guarded(link.tick)
                 await link.extensions.tick(link.guarded)
                 await asyncio.sleep(0)  # no message waits until hundreds of links have had their turn
-            for part in self._parts:
+            for part in self._ticking:
                 with self._part_may_fail(part):
                     part.tick(self._snapshots.latest)
             if number % _LISTENS_EVERY == 0:

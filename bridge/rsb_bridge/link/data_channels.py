@@ -326,8 +326,11 @@ class DataChannels:
     def tick(self) -> None:
         """Send pending receipts, and close the window of a stalled link. Called once a second."""
         # Openings closed meanwhile are dropped: a client may try again for months, and never get its streams.
-        open_ones = {key: {at: each for at, each in its.items() if each.id == at} for key, its in self.awaiting.items()}
-        self.awaiting = {key: its for key, its in open_ones.items() if its}
+        if self.awaiting:
+            waiting = {
+                key: {at: each for at, each in its.items() if each.id == at} for key, its in self.awaiting.items()
+            }
+            self.awaiting = {key: its for key, its in waiting.items() if its}
         self._tick_udp()
         self.scheduler.tick()
         self.book.report()
@@ -342,4 +345,8 @@ class DataChannels:
 
     def carriers(self) -> set[ChannelCarrier]:
         """Return all streams and UDP channels, including the control connection's."""
-        return {self.control.stream, *(each.stream for each in self._streams()), *self._udp.values()}
+        found: set[ChannelCarrier] = {self.control.stream, *self._udp.values()}
+        for pair in self._pairs.values():  # a generator would take a call for each stream, several times a second
+            if not pair.over:
+                found.update([each.stream for each in (pair.small, pair.large) if each is not None and not each.over])
+        return found

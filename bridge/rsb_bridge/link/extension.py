@@ -107,6 +107,7 @@ class Extensions:
 
     def __init__(self) -> None:
         self._all: list[Extension] = []
+        self._ticking: list[Extension] = []
         # Each snapshot of a route asks them: an extension that shows nothing costs nothing.
         self._showing_links: list[Extension] = []
         self._showing_routes: list[Extension] = []
@@ -117,6 +118,8 @@ class Extensions:
     def add(self, extension: Extension) -> None:
         self._all.append(extension)
         kind = type(extension)
+        if kind.tick is not Extension.tick:
+            self._ticking.append(extension)
         if kind.link_fields is not Extension.link_fields:
             self._showing_links.append(extension)
         if kind.route_fields is not Extension.route_fields:
@@ -154,7 +157,7 @@ class Extensions:
 
     async def tick(self, guarded: Callable[[Callable[[], None]], None]) -> None:
         """Do their regular work once a second, in slices: each may look at all routes."""
-        await in_slices(tuple(self._all), lambda each: guarded(each.tick))
+        await in_slices([each.tick for each in self._ticking], guarded)
 
     def removed(self, route: Route) -> None:
         for each in self._all:

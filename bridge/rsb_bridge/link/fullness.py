@@ -101,7 +101,7 @@ class LinkFullness(Extension):
             and not any(route.purpose.fills_link for route in link.routes.values())  # a benchmark does so on purpose
         )
         self.judge(asked, max(0.0, arrived - called), full=overloaded)
-        received = sum(each.received_bytes for each in link.carriers())
+        received = sum([each.received_bytes for each in link.carriers()])
         self.receiving.measure(received - self._received, now, at, full=False)
         self._received = received
         if self.out != before:
@@ -121,7 +121,7 @@ class LinkFullness(Extension):
             arrived: bytes since the last tick.
             full: whether messages have waited all the time.
         """
-        asked = sum(each.bytes_per_second for each in topics)
+        asked = sum([each.bytes_per_second for each in topics])
         was = self.out is not None
         self._stalled = max(0, self._stalled - 1)
         self._silent = self._silent + 1 if asked and not arrived else 0

@@ -105,7 +105,7 @@ class Keepalive:
 
     @property
     def _heard(self) -> float:
-        return max((each.received_at for each in self._link.carriers()), default=self._began)
+        return max([each.received_at for each in self._link.carriers()], default=self._began)
 
     @property
     def round_trip(self) -> float | None:

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.link.control_channel import Slices
     from rsb_bridge.link.link_end import LinkEnd
+    from rsb_bridge.link.link_fault import PresentFault
     from rsb_bridge.model.snapshot import TopicInfo
     from rsb_bridge.route.route import Route
 
@@ -68,7 +69,7 @@ class LinkTraffic(Extension):
 
     def tick(self) -> None:
         now, carriers = self._link.context.now(), self._link.carriers()
-        received, sent = sum(each.received_bytes for each in carriers), sum(each.sent_bytes for each in carriers)
+        received, sent = sum([each.received_bytes for each in carriers]), sum([each.sent_bytes for each in carriers])
         # The sums fall when a carrier closes.
         more_received, more_sent = max(0, received - self._received), max(0, sent - self._sent)
         self.rx.add(more_received, now)
@@ -226,6 +227,76 @@ class RouteReports(Extension):
             route.half.reported(entry)
 
 
+class LinkSnapshots:
+    """Makes the snapshots of one link. While nobody looks, its figures alone need no new one each second."""
+
+    def __init__(self, link: Link) -> None:
+        self._link = link
+        self._signs: tuple[object, ...] = ()  # of the last one
+
+    @property
+    def only_counts(self) -> bool:
+        """Whether nothing but figures, and what features show, may differ from the last snapshot."""
+        patterns = self._link.patterns.names.entries  # their states follow from their routes
+        return not patterns and self._present_signs(self._link.fault.now()) == self._signs
+
+    def _present_signs(self, fault: PresentFault) -> tuple[object, ...]:
+        """Return what changes if anything happens to the link, apart from its figures."""
+        link, status = self._link, self._link.status
+        return (
+            status.cause, status.reason, status.attempts, link.connections, link.is_suspended, link.unsaved.there,
+            fault.cause, fault.warning,
+        )  # fmt: skip
+
+    def make(self) -> LinkSnapshot:
+        """Return the link as it is now."""
+        link, fault = self._link, self._link.fault.now()
+        self._signs = self._present_signs(fault)
+        linked, traffic, peer = link.linked, link.traffic, link.peer
+        now, steady = link.context.now(), link.context.clock.steady()
+        ends = None if link.association is None else link.association.ends_at
+        clock = link.clock if linked else ClockOffset()  # figures of a dead connection are out of date
+        current_key, next_key = link.end.fingerprints
+        return LinkSnapshot(
+            name=link.name,
+            peer=link.end.address,
+            state=link.status.state,
+            reason=link.down_reason,
+            since=link.context.wall_of(link.status.since),
+            retry_in=link.status.retry_in(now),
+            attempts=link.status.attempts,
+            association_ends=None if ends is None else link.context.wall_of(steady + ends - now),
+            encrypted=link.encrypted,
+            cipher=link.channels.connection_keys.suite.name if linked and link.encrypted else "",
+            fingerprint=current_key,
+            next_fingerprint=next_key,
+            rtt=clock.rtt,
+            clock_offset=clock.offset,
+            clock_uncertainty=clock.uncertainty,
+            rx_bytes_per_second=traffic.rx.rate if linked else 0.0,
+            tx_bytes_per_second=traffic.tx.rate if linked else 0.0,
+            rx_bytes_total=traffic.rx_bytes,
+            tx_bytes_total=traffic.tx_bytes,
+            peer_version=peer.version if peer else "",
+            peer_domain=peer.domain_id if peer else None,
+            use_name=link.end.use_name,
+            cause=fault.cause,
+            warning=fault.warning,
+            warning_since=fault.warning_since,
+            capacity_out=link.fullness.sending.capacity,
+            capacity_in=link.fullness.receiving.capacity,
+            loss_out=link.path.loss.share if linked else None,
+            loss_in=link.path.into.lost,
+            via=link.subflows.used or link.via if linked else "",
+            ways=link.subflows.ways or link.end.ways_shown(),
+            full_out=link.fullness.out,
+            full_in=link.fullness.into,
+            unsaved_there=link.unsaved.there,
+            patterns=tuple(link.patterns.snapshots()),
+            features=link.extensions.link_fields(),
+        )
+
+
 @final
 class Link(BaseLink):
     """A peer, its routes and the link's features. It lives on while the peer is away.
@@ -261,52 +332,13 @@ class Link(BaseLink):
             extension.feature = feature.name
             self.extend(extension)
         context.demands.register(self.entries)
+        self.snapshots = LinkSnapshots(self)
+        self.snapshot = self.snapshots.make
 
-    def snapshot(self) -> LinkSnapshot:
-        linked, traffic, peer = self.linked, self.traffic, self.peer
-        now, steady = self.context.now(), self.context.clock.steady()
-        ends = None if self.association is None else self.association.ends_at
-        clock = self.clock if linked else ClockOffset()  # figures of a dead connection are out of date
-        current_key, next_key = self.end.fingerprints
-        fault = self.fault.now()
-        return LinkSnapshot(
-            name=self.name,
-            peer=self.end.address,
-            state=self.status.state,
-            reason=self.down_reason,
-            since=self.context.wall_of(self.status.since),
-            retry_in=self.status.retry_in(now),
-            attempts=self.status.attempts,
-            association_ends=None if ends is None else self.context.wall_of(steady + ends - now),
-            encrypted=self.encrypted,
-            cipher=self.channels.connection_keys.suite.name if linked and self.encrypted else "",
-            fingerprint=current_key,
-            next_fingerprint=next_key,
-            rtt=clock.rtt,
-            clock_offset=clock.offset,
-            clock_uncertainty=clock.uncertainty,
-            rx_bytes_per_second=traffic.rx.rate if linked else 0.0,
-            tx_bytes_per_second=traffic.tx.rate if linked else 0.0,
-            rx_bytes_total=traffic.rx_bytes,
-            tx_bytes_total=traffic.tx_bytes,
-            peer_version=peer.version if peer else "",
-            peer_domain=peer.domain_id if peer else None,
-            use_name=self.end.use_name,
-            cause=fault.cause,
-            warning=fault.warning,
-            warning_since=fault.warning_since,
-            capacity_out=self.fullness.sending.capacity,
-            capacity_in=self.fullness.receiving.capacity,
-            loss_out=self.path.loss.share if linked else None,
-            loss_in=self.path.into.lost,
-            via=self.subflows.used or self.via if linked else "",
-            ways=self.subflows.ways or self.end.ways_shown(),
-            full_out=self.fullness.out,
-            full_in=self.fullness.into,
-            unsaved_there=self.unsaved.there,
-            patterns=tuple(self.patterns.snapshots()),
-            features=self.extensions.link_fields(),
-        )
+    @property
+    def only_counts(self) -> bool:
+        """Whether nothing but figures may differ from its last snapshot."""
+        return self.snapshots.only_counts
 
 
 async def topics_of_peer(links: Iterable[Link], name: str) -> list[TopicInfo]:

@@ -78,11 +78,11 @@ class PacketLoss:
         if lost and not any(part for _, part in self._ticks):
             self._ticks.clear()  # the share is that of the time since losses began
         self._ticks.append((counted, counted * min(1.0, lost / sent) if sent else 0.0))
-        packets = sum(each for each, _ in self._ticks)
+        packets = sum([each for each, _ in self._ticks])
         if packets < _ENOUGH:
             self.share = None
             return
-        self.share = share = sum(part for _, part in self._ticks) / packets
+        self.share = share = sum([part for _, part in self._ticks]) / packets
         if self.lossy:  # it ends at a lower share than it begins at, as a banner would flicker
             self.lossy = 0.0 if share < _WHOLE_BELOW else steady(self.lossy, share)
         elif share >= _LOSSY_ABOVE and sum(part > 0 for _, part in self._ticks) >= _LOSES_IN:
@@ -132,14 +132,14 @@ class PathWatch(Extension):
         if link.control is None:
             return
         counts = {each: each.packets() for each in link.carriers() if isinstance(each, Stream)}
-        routes = link.routes.values()
         # First, which of them it may be: what a class is an instance of takes longer, and there may be hundreds.
-        by_datagrams = [route.half.carried.channel for route in routes if not route.transport.reliable]
+        by_datagrams = [route.half for route in link.routes.values() if not route.transport.reliable]
+        channels = [half.carried.channel for half in by_datagrams]
         stalled = self.observe(
             link.control.stream,
             {stream: packets for stream, packets in counts.items() if packets is not None},
-            [channel for channel in by_datagrams if isinstance(channel, DatagramSender)],
-            large_vanish=any(each.half.facts.large_vanish for each in link.awake),
+            [channel for channel in channels if isinstance(channel, DatagramSender)],
+            large_vanish=any(half.facts.large_vanish for half in by_datagrams),
         )
         for stream in stalled:
             stream.abort(STALLED)

@@ -170,7 +170,8 @@ class DuplicateClients:
         return f"no second client calls itself {self.name!r} any more"
 
     def _fresh(self, now: float) -> dict[tuple[str, str], float]:
-        return {client: at for client, at in self._tried.items() if now - at <= _REMEMBERED}
+        tried = self._tried
+        return {client: at for client, at in tried.items() if now - at <= _REMEMBERED} if tried else tried
 
 
 def name_taken(name: str, address: str, host: str, since: float) -> str:

@@ -266,6 +266,11 @@ class MessageAge:
         elif self._since is None:
             self._since = now
 
+    @property
+    def is_calm(self) -> bool:
+        """Whether none was dropped in the last seconds."""
+        return self._since is None and not self._recent()[0]
+
     def _recent(self) -> tuple[int, int, Counter[Cause]]:
         if not self._lately:
             return 0, 0, Counter()

@@ -217,7 +217,7 @@ class Announcer:
     Called once a second.
 
     Attributes:
-        next_change: time (s) at which a verdict that lasts is repeated, or infinite.
+        next_change: time (s) at which a verdict that lasts is told or repeated, or infinite.
     """
 
     def __init__(self) -> None:
@@ -241,8 +241,12 @@ class Announcer:
         elif self._bad_since is None:
             self._bad_since = now
         # What changes its cause again and again lasts, too.
-        flaps = self._logged_as is None and self._bad_since is not None and now - self._bad_since >= _LOSS_LASTS
-        if now - self._since < (_LOSS_LASTS if verdict.cause == Cause.LOSSY else _LASTS) and not flaps:
+        flaps_at = math.inf if self._logged_as or self._bad_since is None else self._bad_since + _LOSS_LASTS
+        lasts_at = self._since + (_LOSS_LASTS if verdict.cause == Cause.LOSSY else _LASTS)
+        if now < (due := min(lasts_at, flaps_at)):
+            # Most of what a route waits for is never logged.
+            is_logged = verdict.state is not State.WAITING or verdict.cause in _MENDABLE
+            self.next_change = due if is_logged else math.inf
             return None
         if verdict.state is State.OK:
             self._heard = True
@@ -263,7 +267,10 @@ class Announcer:
 
     def _waiting(self, verdict: Verdict, now: float) -> StateEvent | None:
         level = _MENDABLE.get(verdict.cause)
-        if level is None or now - self._since < _WAITS:
+        if level is None:
+            return None
+        if now < (due := self._since + _WAITS):
+            self.next_change = due
             return None
         return self._say(level, EventCode.ROUTE_WAITING, verdict, now)
 

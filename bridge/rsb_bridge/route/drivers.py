@@ -109,6 +109,11 @@ class Drivers:
         self._ticks.append((self._counts, elapsed))
         self._counts, self._ticked = defaultdict(int), now
 
+    @property
+    def are_calm(self) -> bool:
+        """Whether none has published in the last seconds."""
+        return not (self._counts or any(counts for counts, _ in self._ticks))
+
     def rested(self, until: float) -> None:
         """Take over that nothing came until `until` (s)."""
         self._ticks.clear()

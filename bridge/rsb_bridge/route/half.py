@@ -221,6 +221,9 @@ class Half(Protocol):
     def is_well(self, now: float) -> bool:
         """Whether `measure` has found nothing that one of its rules would name, as far as `signs` do not tell."""
 
+    def is_calm(self, now: float) -> bool:
+        """Whether it would be judged the same if nothing had come in the last seconds, and waits for nothing."""
+
     def act(self, now: float, crossing: Crossing) -> None:
         """Do what follows from the new verdict. Called last in a tick; may advance, or have the route opened again."""
 

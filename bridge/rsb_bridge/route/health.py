@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from rsb_bridge.telemetry.watches import LATELY, LossWatch, SlowWatch, StopWatch
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Sequence
 
     from rsb_bridge.model.snapshot import Ledger
     from rsb_bridge.ros.ros_interface import Endpoint
@@ -29,13 +29,15 @@ class Health:
         self.stop = StopWatch()
         self.losses = LossWatch()
         self._lost_in_dds: deque[int] = deque(maxlen=LATELY)
+        self._publishers: Sequence[Endpoint] = ()
+        self._gids: frozenset[bytes] = frozenset()  # of these
 
     def judge(
         self,
         route: Route,
         ledger: Ledger,
         now: float,
-        publishers: Iterable[Endpoint],
+        publishers: Sequence[Endpoint],
         *,
         usual_rate: float | None,
         quiet_since: float,
@@ -62,8 +64,9 @@ class Health:
             self.stop.reset()
             self.slow.reset()
             return
-        gids = frozenset([each.gid for each in publishers])
-        self.stop.judge(quiet_since, expected, now, gids, promised=promised)
+        if publishers is not self._publishers:  # they are replaced, never changed
+            self._publishers, self._gids = publishers, frozenset([each.gid for each in publishers])
+        self.stop.judge(quiet_since, expected, now, self._gids, promised=promised)
         if self.stop.since is not None or not flows:
             self.slow.reset()
         elif not self.stop.quiet:  # a pause is not slow
@@ -73,6 +76,11 @@ class Health:
     def finds_nothing(self) -> bool:
         """Whether messages are neither lost nor slow nor missing."""
         return self.losses.loss is None and self.slow.since is None and self.stop.since is None
+
+    @property
+    def is_calm(self) -> bool:
+        """Whether none was lost in the last seconds."""
+        return self.losses.is_calm and not self.lost_in_dds()
 
     def next_change(self, now: float) -> float:
         """Return when (s) one of these may change without a message, `now` if at any moment, or infinity."""

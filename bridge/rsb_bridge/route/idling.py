@@ -1,9 +1,9 @@
 """Decides when a route is ticked: once a second while anything happens, and otherwise when something is due.
 
 The effects of a message, a report, a command or a change of the graph follow within seconds, and nearly all windows
-over which a route is judged are as short. So a route is ticked for a while after each event, and from then on only at
-the time that its rules name: `next_change`. Each event calls `Route.wake`, messages too. Nothing walks over idle
-routes: to touch hundreds of objects once a second takes longer than the work on a few.
+over which a route is judged are as short. So a route is ticked for a while after each event, for less if these windows
+are empty, and from then on only at the time that its rules name: `next_change`. Each event calls `Route.wake`, messages
+too. Nothing walks over idle routes: to touch hundreds of objects once a second takes longer than the work on a few.
 """
 
 from __future__ import annotations
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 SETTLES = 12.0
 """s after an event for which a route is ticked: longer than `watches.LATELY`, `topic_flow._LATENCY_TICKS` and
 `combined_verdict._WAITS`. Longer windows of the rules are in `next_change`."""
+_CALMS = 1.0
+"""s after an event for which a route is ticked that is calm: all that follows from it at once has followed."""
 POLLED_EVERY = 15.0  # s, at most, between two ticks of a route with something that does not tell when it changes
 _MOST_OUTDATED = 4096  # times of routes that were woken meanwhile, about, until they are looked through
 
@@ -56,13 +58,21 @@ class Idling:
         """Whether the signs have been the same for so long that all has followed from them."""
         return now >= self._changed_at + SETTLES and signs() == self.signs
 
-    def ticked(self, signs: Signs, passed: int, now: float, next_change: Callable[[], float]) -> None:
+    def ticked(
+        self,
+        signs: Signs,
+        passed: int,
+        now: float,
+        next_change: Callable[[], float],
+        is_calm: Callable[[float], bool],
+    ) -> None:
         """Decide after a tick when the next one is.
 
         Args:
             passed: messages so far.
             next_change: returns the time (s) of the next change by time alone, `now` if it may come at any moment, or
                 infinity.
+            is_calm: tells whether the windows over which the route is judged are empty.
         """
         if signs != self.signs:
             self.signs, self._changed_at = signs, now
@@ -70,7 +80,9 @@ class Idling:
         elif passed != self.passed:
             self._settles_until = now + SETTLES
         self.passed = passed
-        self.until = now if now < self._settles_until else next_change()
+        left = self._settles_until - now
+        settles = left > 0.0 and (left > SETTLES - _CALMS or not is_calm(now))
+        self.until = now if settles else next_change()
 
 
 class Tickable(Protocol):

@@ -133,6 +133,11 @@ class LateWatch:
             self.since = None if late else self._first
             self.seconds = 0.0 if late else delay
 
+    @property
+    def is_decided(self) -> bool:
+        """Whether messages are not late, nor was the last one."""
+        return self.since is None and not self._other
+
     def reset(self) -> None:
         """Start again, but keep the usual delay."""
         self.since = None
@@ -161,6 +166,10 @@ class SendersDelay:
         """Take a delay that the receiver reports."""
         if math.isfinite(seconds) and abs(seconds) <= _LONGEST_DELAY:
             self.reported, self._reported_at = seconds, now
+
+    def is_outdated(self, now: float) -> bool:
+        """Whether no reported delay counts any more."""
+        return now - self._reported_at > REPORTED_LATELY
 
     def with_report(self, report_delay: float) -> float:
         """Return the estimated s that a message and its report take together."""
@@ -193,7 +202,7 @@ class SendersDelay:
             own: s that they take at least, as this side knows without the other one's clock.
             uncertainty: s by which reported delays may be too long.
         """
-        measured = self.reported if now - self._reported_at <= REPORTED_LATELY else None
+        measured = None if self.is_outdated(now) else self.reported
         self.least = max(own, (measured or 0.0) - uncertainty)
         return measured
 

@@ -85,6 +85,7 @@ class _Counted:
         expired: messages given up incomplete.
         incomplete: messages that wait for fragments.
         newest: the highest message number seen.
+        settled: messages that were delivered, dropped or given up.
     """
 
     plausible: bool
@@ -94,11 +95,7 @@ class _Counted:
     expired: int
     incomplete: int
     newest: int
-
-    @property
-    def settled(self) -> int:
-        """Messages that were delivered, dropped or given up."""
-        return self.delivered + self.expired + sum(self.dropped.values())
+    settled: int
 
     def lost(self, overdue: int = 0) -> int:
         """Return how many numbered messages are lost: newer ones arrived, or they are among the first `overdue`."""
@@ -107,6 +104,14 @@ class _Counted:
 
 def _within(report: ReceivedCounts, sent: int) -> _Counted:
     """Return a report's counts, each limited to `sent` minus the counts before it."""
+    parts = report.delivered, *report.dropped.values(), report.expired, report.incomplete
+    rest = sent - sum(parts)
+    known_whole = report.delivered + sum(report.dropped.values())
+    if min(parts) >= 0 and known_whole <= report.received <= known_whole + rest and 0 <= report.newest <= sent:
+        return _Counted(
+            True, report.received, report.delivered, report.dropped, report.expired, report.incomplete, report.newest,
+            known_whole + report.expired,
+        )  # fmt: skip
     plausible, left = True, sent
 
     def take(count: int) -> int:
@@ -120,11 +125,11 @@ def _within(report: ReceivedCounts, sent: int) -> _Counted:
     dropped = {cause: take(count) for cause, count in report.dropped.items()}
     expired = take(report.expired)
     incomplete = take(report.incomplete)
-    known_whole = delivered + sum(dropped.values())
+    known_whole = delivered + (sum(dropped.values()) if dropped else 0)
     whole = _limited(report.received, known_whole, known_whole + left)
     newest = _limited(report.newest, 0, sent)
     plausible = plausible and (whole, newest) == (report.received, report.newest)
-    return _Counted(plausible, whole, delivered, dropped, expired, incomplete, newest)
+    return _Counted(plausible, whole, delivered, dropped, expired, incomplete, newest, known_whole + expired)
 
 
 def _limited(count: int, lowest: int, highest: int) -> int:
@@ -353,7 +358,7 @@ def reported_ledger(report: SentCounts, now: float) -> Ledger | None:
     known = (report.delivered, report.throttled, report.expired, *report.dropped.values())
     parts = (*known, report.unknown, report.waiting, report.in_flight)
     figures = (*parts, report.lost_in_dds, report.missed_while_down, report.unsubscribed, report.again)
-    if sum(parts) != report.offered or not all(0 <= figure <= _LARGEST for figure in figures):
+    if sum(parts) != report.offered or min(figures) < 0 or max(figures) > _LARGEST:
         return None
     return Ledger(
         offered=report.offered,

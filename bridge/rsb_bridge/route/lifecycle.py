@@ -112,16 +112,19 @@ class Reopening:
         refused: the last refusal, empty once a later opening has succeeded.
         retry_at: time (s) of the next attempt of the side that proposed it.
         closed_at: time (s) when its last opening ended, or 0 before that.
+        has_failed: whether an attempt has failed since messages flowed.
     """
 
     def __init__(self) -> None:
         self.refused = NO_REASON
         self.retry_at = self.closed_at = 0.0
+        self.has_failed = False
         self._broke_at: float | None = None  # the data connection, if it has not been open since
         self._backoff = Backoff(_FIRST_PAUSE, _LONGEST_PAUSE)
 
     def failed(self, now: float, *, broke: bool) -> None:
         """Plan the next attempt after an opening failed at `now` (s), perhaps because its data connection broke."""
+        self.has_failed = True
         # Further attempts that time out do not restart the wait: they belong to the same fault.
         if broke and self._broke_at is None:
             self._broke_at = now
@@ -133,6 +136,7 @@ class Reopening:
             self._broke_at = None
         if flowing:
             self._backoff.reset()
+            self.has_failed = not connected
 
     def reopens(self, now: float) -> bool:
         """Whether its data connection broke so lately that the next one is due at `now` (s) at the earliest."""

@@ -70,6 +70,7 @@ class Receiver:
         # The last ones of the present opening.
         self._last_counts: tuple[object, ...] = ()
         self._last_report: ReceivedReport | None = None
+        self._reported: tuple[object, ...] = ()  # the contents of that, which take less time to compare
         self.rest = RestAfterArming(self.flow)
         self.check = MessageCheck(route.context, route.peer.budget.checks)
         self.path = IncomingPath(self.flow, self.rest, self.check)
@@ -277,7 +278,7 @@ class Receiver:
             self.flow.drivers.look(self.listeners.further)
         self._judge_lateness(now, flows=crossing.flows, learns=learns)
         self.route.age.update(self.path.received, now)
-        if self.route.link_full is not None:
+        if not learns and self.route.link_full is not None:  # in this order: on a full link, nothing is learned
             self.flow.full_at = now
         if self.route.age.only_newest or self.flow.left_out.is_on:
             self.flow.left_out.judge(self.facts.ledger, now)
@@ -330,6 +331,9 @@ class Receiver:
 
     def is_well(self, now: float) -> bool:
         return self.flow.is_well(now) and not self.listeners.unmatched
+
+    def is_calm(self, now: float) -> bool:
+        return not self._is_polled and self.flow.is_calm(now)
 
     def act(self, now: float, crossing: Crossing) -> None:
         self.flow.act(now, awaited=crossing.flows)
@@ -420,10 +424,18 @@ class Receiver:
     def _report(self) -> ReceivedReport | None:
         """Return what the peer does not know beside the figures, or None if it knows all."""
         verdict, audience, listeners = self.route.verdict(for_peer=True), self.flow.audience, self.listeners
+        wanted, drivers, came_before = self.lazy.wanted, self.flow.drivers, self.facts.came_before
+        contents = (
+            self.route.id, verdict, audience, wanted, listeners.subscriber_qos, listeners.hint, listeners.published,
+            came_before, self.path.malformed, drivers.here,
+        )  # fmt: skip
+        if contents == self._reported and self._last_report is not None:
+            return None
+        self._reported = contents
         report = ReceivedReport(
             route=self.route.id,
             subscribers=audience.count,
-            wanted=self.lazy.wanted,
+            wanted=wanted,
             subscriber_qos=listeners.subscriber_qos,
             type=listeners.hint[0],
             type_hash=listeners.hint[1],
@@ -432,9 +444,9 @@ class Receiver:
             publishers=listeners.published.nodes,
             published_as=listeners.published.near,
             deaf=tuple(DeafRecord(each.node, each.cause, each.reason) for each in audience.deaf),
-            came_before=self.facts.came_before,
+            came_before=came_before,
             malformed=self.path.malformed,
-            drivers=self.flow.drivers.records,
+            drivers=drivers.records,
         )
         if report == self._last_report:
             return None

@@ -19,7 +19,7 @@ from rsb_bridge.model.reason import NO_REASON, Reason
 from rsb_bridge.model.session import HIGHEST, weight_of
 from rsb_bridge.model.snapshot import Level, RouteSnapshot, State
 from rsb_bridge.model.text import sanitize_text
-from rsb_bridge.model.verdict import FINE
+from rsb_bridge.model.verdict import FINE, Cause
 from rsb_bridge.route.age import MessageAge
 from rsb_bridge.route.arming import AGREED, Arming, Disarmed, Settling
 from rsb_bridge.route.blocking_rules import LossyPath, judge, stays_fine
@@ -55,6 +55,10 @@ _LASTS = frozenset(
     }
 )  # fmt: skip
 """States that last until something happens, or until silence has lasted too long."""
+_STOPS = frozenset({State.STALE, State.STOPPED, State.DOWN})
+"""Those of them in which messages that are due do not come."""
+_STAYS = frozenset({Cause.NONE, Cause.NO_SUBSCRIBER})
+"""Causes that `Route._signs` tell of, while the half is well."""
 
 
 class Entry(NamedTuple):
@@ -448,19 +452,31 @@ class Route:
         )  # fmt: skip
         return now if restless else min(self.judged.next_change, of_half)
 
+    def _is_calm(self, now: float) -> bool:
+        """Whether nothing of the last seconds counts any more."""
+        if not self.meter.still:  # nearly always
+            return False
+        # Features find out within seconds why messages stopped, datagrams may still get lost, and a refusal is shown
+        # for a while.
+        fine = self._verdict is not None and self._verdict.state not in _STOPS
+        return fine and self.transport.reliable and not self.reopening.refused and self.half.is_calm(now)
+
     def tick(self) -> None:
         """Update the figures and report a changed verdict; called once a second while the route is not idle."""
         now, crossing, learns = self.context.now(), self.crossing, self.half.facts.learns
         self.half.measure(now, crossing, learns=learns)
         self.meter.tick(now, learns=learns)
         connected = crossing.flows or self.connected
-        self.reopening.observe(connected=connected, flowing=crossing.flows)
+        if self.reopening.has_failed:
+            self.reopening.observe(connected=connected, flowing=crossing.flows)
         if self.losses.reasons:  # nearly never, and the question what it owes takes a while
             self.losses.tick(now, idle=connected and not self.half.facts.owing)
-        fine = self._verdict is self._verdict_for_peer is self.judged.announced.verdict is FINE
+        own = self._verdict
+        stays = own is not None and own is self._verdict_for_peer and own.cause in _STAYS
         # Nearly each second of nearly each topic, and half the time of asking all rules.
-        fine = fine and self.idling.lasts(self._signs, now) and stays_fine(self.half.facts, crossing, now)
-        if not fine:
+        stays = stays and now < self.judged.next_change and self.idling.lasts(self._signs, now)
+        stays = stays and stays_fine(self.half.facts, crossing, now)
+        if not stays:
             own, self._verdict_for_peer = self._judged(now, crossing)
             self._verdict = own
             said = self.judged.announce(own, now, self.peer.path.fault)
@@ -472,8 +488,8 @@ class Route:
         passed = self.half.passed
         self.half.act(now, crossing)
         # Last, so that the signs contain all that the tick has changed; else the next one, which comes in a second.
-        signs = self.idling.signs if fine and passed != self.idling.passed else self._signs()
-        self.idling.ticked(signs, passed, now, lambda: self._next_change(now, crossing))
+        signs = self.idling.signs if stays and passed != self.idling.passed else self._signs()
+        self.idling.ticked(signs, passed, now, lambda: self._next_change(now, crossing), self._is_calm)
         # Of one that rests from now on, the last figures are shown.
         self.only_counts = self.only_counts and self.idling.signs is self._shown_signs and self.idling.until <= now
 
@@ -536,7 +552,7 @@ class Route:
         """
         now = self.context.now()
         # A deadman that runs out between two ticks must not be shown as armed.
-        if self._verdict is None or self.arming.overdue(now):
+        if self._verdict is None or (self.arming.required and self.arming.overdue(now)):
             self._verdict, self._verdict_for_peer = self._judged(now, self.crossing)
         return self._verdict_for_peer if for_peer else self._verdict
 

@@ -72,6 +72,7 @@ class Sender:
         # The last ones of the present opening.
         self._last_counts: SentCounts | None = None
         self._last_report: SentReport | None = None
+        self._reported: tuple[object, ...] = ()  # the contents of that, which take less time to compare
         self._told: Publishers | None = None  # of the publishers, to the peer
         self.counts = RouteLedger()
         self._described: Describe | None = None
@@ -325,7 +326,7 @@ class Sender:
             self.flow.drivers.look(self.carried.endpoints, counted=self.subscription.receives)
         self._judge_lateness(now, flows=flows, learns=learns)
         self.route.age.update(self.counts.offered, now)
-        if self.route.link_full is not None:
+        if not learns and self.route.link_full is not None:  # in this order: on a full link, nothing is learned
             self.flow.full_at = now
         if self.route.age.only_newest or self.flow.left_out.is_on:
             self.flow.left_out.judge(ledger, now)
@@ -336,6 +337,10 @@ class Sender:
             self.health.finds_nothing and self.flow.is_well(now) and not self.backlog.exists
             and len(self.carried.endpoints) == 1
         )  # fmt: skip
+
+    def is_calm(self, now: float) -> bool:
+        calm = not self._is_polled and self.subscription.is_settled
+        return calm and self.health.is_calm and self.delays.is_outdated(now) and self.flow.is_calm(now)
 
     def act(self, now: float, crossing: Crossing) -> None:
         profile_rate = (self.route.peer.profile.max_rate or 0.0) if self._profile_limits else 0.0
@@ -467,15 +472,23 @@ class Sender:
 
     def _report(self) -> SentReport | None:
         """Return what the peer does not know beside the counts, or None if it knows all."""
-        verdict = self.route.verdict(for_peer=True)
+        verdict, resolver, drivers = self.route.verdict(for_peer=True), self.resolver, self.flow.drivers
+        publishers, subscribed = len(self.carried.endpoints), self.subscription.receives
+        contents = (
+            self.route.id, publishers, resolver.publisher_qos, subscribed, verdict, resolver.publisher_nodes,
+            drivers.here,
+        )  # fmt: skip
+        if contents == self._reported and self._last_report is not None:
+            return None
+        self._reported = contents
         report = SentReport(
             route=self.route.id,
-            publishers=len(self.carried.endpoints),
-            publisher_qos=self.resolver.publisher_qos,
-            subscribed=self.subscription.receives,
+            publishers=publishers,
+            publisher_qos=resolver.publisher_qos,
+            subscribed=subscribed,
             verdict=record_of(verdict),
-            nodes=self.resolver.publisher_nodes,
-            drivers=self.flow.drivers.records,
+            nodes=resolver.publisher_nodes,
+            drivers=drivers.records,
         )
         if report == self._last_report:
             return None

@@ -316,6 +316,11 @@ class TopicFlow:
         late = self.lateness.since is not None or self.route.age.late() is not None
         return not late and not self.silence.watch.stale(now) and not self.route.notices.undelivered
 
+    def is_calm(self, now: float) -> bool:
+        """Whether no message of the last seconds counts any more, and no operator has looked at them."""
+        calm = self.latency.is_blank and self.lateness.is_decided and self.route.age.is_calm and self.drivers.are_calm
+        return calm and not self.left_out.is_due and not self.peek_slot.is_used(now)
+
     def act(self, now: float, *, awaited: bool) -> None:
         """Do what follows from the new verdict."""
         if not awaited:

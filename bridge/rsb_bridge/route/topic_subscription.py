@@ -209,6 +209,11 @@ class TopicSubscription:
         """Whether DDS had matched no publisher at the last tick."""
         return self._unmatched_ticks > 0
 
+    @property
+    def is_settled(self) -> bool:
+        """Whether it waits for no publisher to be heard."""
+        return not self._reliability.awaits
+
     def tick(self, publishers: Sequence[Endpoint] = ()) -> None:
         """Subscribe again if that brings what DDS has lost, or does not give. Called once a second.
 
@@ -416,13 +421,21 @@ class _Reliability:
         """Return the QoS to ask for where a topic has this one."""
         return msgspec.structs.replace(qos, reliability="best_effort") if self._found else qos
 
+    @property
+    def awaits(self) -> bool:
+        """Whether it waits for a publisher to be heard, or to go."""
+        return bool(self._unheard_since or self._found)
+
     def look(self, spec: TopicSpec, publishers: Sequence[Endpoint], heard: Collection[bytes]) -> None:
         """Judge the publishers. Called once a second.
 
         Args:
             heard: those that the reliable subscription has heard.
         """
-        now, doubtful = self._route.context.loop.time(), {each.gid: each for each in publishers if each.may_not_repeat}
+        doubtful = {each.gid: each for each in publishers if each.may_not_repeat}
+        if not (doubtful or self.awaits):  # nearly always
+            return
+        now = self._route.context.loop.time()
         if self._found:
             if self._found not in doubtful:  # it has gone
                 self._found = b""

@@ -21,6 +21,8 @@ _RHYTHM_SAMPLES, _RHYTHM_STEADY = 5, 0.1  # that show a rhythm, as an operator's
 _STEADY = 0.15  # of the rate over so long: the standard deviation that it may have; watches call less than 0.7 slow
 _CHANGED = 0.15  # share of the rate beyond which a change is no noise: no more than `_STEADY` allows
 _LOWER_FOR = 600.0  # s that a lower rate lasts until it is the usual one
+_NO_SAMPLES = 0, 0.0, 0.0  # sums over no samples: of gaps, of s, and of the squares of s by their gaps
+_AT_ONE_MOMENT = 1e-9  # s from one message to the next, up to which all came at once, with what rounding adds
 _MOST_NUMBERS = 16  # of publishers, of which the rates are remembered: a round figure
 _LONGEST_GAP = 60.0  # s; a topic with longer ones has no usual rate: to learn it would take a quarter of an hour
 _QUIET_PERIODS, _QUIET = 5.0, 3.0  # periods, and s, without a message after which an outage has begun
@@ -175,7 +177,8 @@ class RateMeter:
 
     def _rate(self) -> float:
         """Return the rate, or 0 once an expected message is missing; a silent second makes it no higher."""
-        missed = max(_WINDOWS[0], 3 / self.usual_rate) if self.usual_rate else _WINDOWS[-1]
+        usual = self._usual.rate
+        missed = max(_WINDOWS[0], 3 / usual) if usual else _WINDOWS[-1]
         if self._quiet >= int(missed):
             return 0.0
         count, end = self._marks[-1]
@@ -239,11 +242,7 @@ class LatencyMeter:
     def take_reported(self, p50: float | None, p99: float | None, jitter: float | None) -> None:
         """Take the figures of the other side, as far as they can be right. They, too, count for `ticks`."""
         self._reported_for = self._ticks
-        self.p50, self.p99, self.jitter = (
-            # NaN compares as false.
-            figure if figure is not None and abs(figure) <= _LARGEST_FIGURE else None
-            for figure in (p50, p99, jitter)
-        )
+        self.p50, self.p99, self.jitter = _possible(p50), _possible(p99), _possible(jitter)
 
     def tick(self) -> None:
         """Work out the percentiles over the last samples."""
@@ -252,6 +251,8 @@ class LatencyMeter:
             if not self._reported_for:
                 self.p50 = self.p99 = None
         fresh, self._fresh, self.recent = self._fresh, 0, None
+        if not (fresh or self._counts):
+            return
         outdated = self._drop_outdated(fresh)
         if fresh:
             newest = sorted([*self._samples][-fresh:])
@@ -262,6 +263,11 @@ class LatencyMeter:
             ordered = sorted(self._samples)
             self.p50 = ordered[len(ordered) // 2]
             self.p99 = ordered[min(len(ordered) - 1, len(ordered) * 99 // 100)]
+
+    @property
+    def is_blank(self) -> bool:
+        """Whether there are no samples, and the other side's figures no longer count."""
+        return not (self._samples or self._reported_for)
 
     def _drop_outdated(self, fresh: int) -> bool:
         """Drop the samples that no longer count, and return whether there were any."""
@@ -274,6 +280,12 @@ class LatencyMeter:
         while len(self._samples) > count:
             self._samples.popleft()
         return len(self._samples) < before
+
+
+def _possible(figure: float | None) -> float | None:
+    """Return a figure that a peer reports, or None if it has none or an impossible one."""
+    # NaN compares as false.
+    return figure if figure is not None and -_LARGEST_FIGURE <= figure <= _LARGEST_FIGURE else None
 
 
 class ClockOffset:
@@ -405,13 +417,14 @@ class UsualRate:
     """
 
     __slots__ = (
-        "_irregular", "_known", "_last", "_lower_for", "_publishers", "_samples", "_ticked", "rate", "regular",
+        "_irregular", "_known", "_last", "_lower_for", "_publishers", "_samples", "_sums", "_ticked", "rate", "regular",
     )  # fmt: skip
 
     def __init__(self) -> None:
         self.rate: float | None = None
         self.regular = False
-        self._samples: deque[tuple[int, float]] = deque(maxlen=_SAMPLES)  # gaps, and the s they took together
+        self._samples: deque[tuple[int, float]] = deque()  # gaps, and the s they took together
+        self._sums = _NO_SAMPLES
         self._last: float | None = None
         self._ticked = 0.0
         self._irregular = 0
@@ -433,9 +446,8 @@ class UsualRate:
                 self._known.clear()
             self._known[before] = self.rate
         self.rate = self._known.get(publishers, self.rate if publishers > before else None)
-        self._last = None
-        self._samples.clear()
-        self._irregular, self._lower_for = 0, 0.0
+        self._forget()
+        self._irregular = 0
 
     def add(self, messages: int, last: float | None, now: float) -> None:
         """Take the messages since the last call.
@@ -452,9 +464,9 @@ class UsualRate:
         gaps, seconds = messages, last - previous
         quiet = began - previous
         if gaps > 1 and quiet > 1.0:  # a long gap, and short ones after it: their mean would hide the burst
-            self._samples.append((1, quiet))
+            self._sample(1, quiet)
             gaps, seconds = gaps - 1, seconds - quiet
-        self._samples.append((gaps, seconds))
+        self._sample(gaps, seconds)
         self._learn(last - previous)
         if self.rate is not None or len(self._samples) >= _RHYTHM_SAMPLES:
             self.regular = self.rate is not None or self._regular_rate(_RHYTHM_SAMPLES, _RHYTHM_STEADY) is not None
@@ -469,9 +481,25 @@ class UsualRate:
         The samples before are dropped: trouble begins a little before it is noticed.
         """
         self._ticked = now
+        self._forget()
+
+    def _forget(self) -> None:
         self._last = None
         self._samples.clear()
+        self._sums = _NO_SAMPLES
         self._lower_for = 0.0
+
+    def _sample(self, gaps: int, seconds: float) -> None:
+        """Add a sample, and drop the oldest if there are too many.
+
+        Sums of all are kept up to date, as to add them up again takes longer than all else that is learned.
+        """
+        all_gaps, all_seconds, squares = self._sums
+        self._samples.append((gaps, seconds))
+        if len(self._samples) > _SAMPLES:
+            old_gaps, old = self._samples.popleft()
+            all_gaps, all_seconds, squares = all_gaps - old_gaps, all_seconds - old, squares - old * old / old_gaps
+        self._sums = all_gaps + gaps, all_seconds + seconds, squares + seconds * seconds / gaps
 
     def _longest_gap(self) -> float:
         return _LONGEST_GAP if self.rate is None else max(_QUIET, _QUIET_PERIODS / self.rate)
@@ -501,11 +529,12 @@ class UsualRate:
         """Return the rate of the last samples, or None if they are fewer than `enough` or not as `steady`."""
         if len(self._samples) < enough:
             return None
-        gaps = sum([gaps for gaps, _ in self._samples])
-        period = sum([seconds for _, seconds in self._samples]) / gaps
-        if period <= 0.0:  # all of them came at one moment
+        gaps, seconds, squares = self._sums
+        period = seconds / gaps
+        if period <= _AT_ONE_MOMENT:
             return None
-        variance = sum([(seconds - gaps * period) ** 2 / gaps for gaps, seconds in self._samples])
+        # The sum of (s - n * period) ** 2 / n over all samples of n gaps in s; rounding may make it less than 0.
+        variance = max(0.0, squares - seconds * period)
         variation = sqrt(variance / (len(self._samples) - 1)) / period  # of a single gap
         spread = variation / sqrt(max(_JUDGED_OVER, _JUDGED_OVER / period))
         return 1 / period if spread <= steady else None
@@ -542,7 +571,8 @@ class Throughput:
             self._window.clear()
         # It is negative if a connection was closed: its bytes are no longer in the caller's sum.
         self._window.append((max(0.0, arrived), now - began))
-        rate = sum(size for size, _ in self._window) / sum(seconds for _, seconds in self._window)
+        sizes, times = zip(*self._window, strict=True)
+        rate: float = sum(sizes) / sum(times)
         if len(self._window) >= _ENOUGH_ARRIVALS and rate:
             source = CapacitySource.FULL if full else CapacitySource.SEEN
             self.capacity = newer(self.capacity, Capacity(rate, source, at))

@@ -8,7 +8,7 @@ import dataclasses
 import math
 import threading
 from collections import deque
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
 from rsb_bridge.model.snapshot import LinkSnapshot, RouteSnapshot, State
 from rsb_bridge.model.verdict import Cause, LinkCause
@@ -73,8 +73,16 @@ class ShownLink(Protocol):
     def changes(self) -> int:
         """How many routes have come or gone so far."""
 
-    def snapshot(self) -> LinkSnapshot:
-        """Return the link as it is now."""
+    @property
+    def only_counts(self) -> bool:
+        """Whether nothing but figures may differ from its last snapshot."""
+
+    @property
+    def snapshot(self) -> Callable[[], LinkSnapshot]:
+        """Returns the link as it is now."""
+
+
+_Shown = TypeVar("_Shown", ShownRoute, ShownLink)
 
 
 class ShownBridge(Protocol):
@@ -95,8 +103,9 @@ class SnapshotPublisher:
     """Renews the snapshot: all of it for somebody who looks, else what has changed, once a second, for the record.
 
     Attributes:
-        latest: the newest snapshot; replaced, never changed, so that any thread may read it. While nobody looks, a
-            route's figures may be `_FIGURES_EVERY` s old, and idle ones are as they were when they became so.
+        latest: the newest snapshot; replaced, never changed, so that any thread may read it. While nobody looks, the
+            figures of a route or a link may be `_FIGURES_EVERY` s old, and idle routes are as they were when they
+            became so.
     """
 
     def __init__(self, blank: Snapshot, events: EventLog, clock: Clock) -> None:
@@ -114,7 +123,8 @@ class SnapshotPublisher:
         self._looks = 0
         self._looks_at: deque[tuple[float, int]] = deque()
         self._looked_at = self._looked_again_at = -math.inf  # s, of the last look, and of the last soon after another
-        self._turn = self._figures = 0
+        self._turn = 0  # of the next route to renew
+        self._refreshes = 0
         self._published_at = clock.steady()
         self._is_watched = False  # by somebody who looks more often than once a second
         self._catch_up: Callable[[threading.Event], object] | None = None
@@ -188,13 +198,15 @@ class SnapshotPublisher:
         """Renew the links, new routes, and of the others all, or some in turn where they follow soon."""
         # In this order: a look that is not among the waiting ones is seen by the next line.
         waiting, self._waiting = self._waiting, []
+        self._refreshes += 1
         looked_at = bool(waiting) or self._clock.steady() - self._looked_again_at <= _LOOKED_AT_FOR
         links = bridge.links()
         self._notice_clock()
         if looked_at:
             turn = [each for each in _routes_of(links) if each not in self._same or not each.shows_the_same]
         else:
-            turn = self._for_the_record([each for link in links for each in link.awake if each.purpose.is_shown])
+            awake = [each for link in links for each in link.awake if each.purpose.is_shown]
+            turn = self._for_the_record(awake, self._routes)
         new = [route for route in turn if route not in self._routes]
         if (self._is_watched and not waiting) or not looked_at:
             at_once = min(len(turn), max(_AT_ONCE, -(-len(turn) // _REFRESHES)))
@@ -202,19 +214,17 @@ class SnapshotPublisher:
             turn = [turn[(first + i) % len(turn)] for i in range(at_once)]
         await in_slices(turn, self._renew)
         await in_slices([route for route in new if route not in self._routes], self._renew)
-        await in_slices(links, self._renew_link)
+        await in_slices(links if looked_at else self._for_the_record(links, self._links), self._renew_link)
         self._publish(bridge, running=True, unsaved=bridge.unsaved if looked_at else self.latest.unsaved)
         for each in waiting:
             each.set()
 
-    def _for_the_record(self, awake: Sequence[ShownRoute]) -> list[ShownRoute]:
-        """Return the routes to renew while nobody looks: what changed, and some of the others in turn."""
-        at_once = -(-len(awake) // _FIGURES_EVERY)
-        first, self._figures = self._figures, (self._figures + at_once) % max(1, len(awake))
+    def _for_the_record(self, awake: Sequence[_Shown], known: Collection[_Shown]) -> list[_Shown]:
+        """Return the routes or links to renew while nobody looks: what changed, and some of the others in turn."""
         return [
-            route
-            for number, route in enumerate(awake)
-            if (number - first) % len(awake) < at_once or route not in self._routes or not route.only_counts
+            each
+            for number, each in enumerate(awake)
+            if (number + self._refreshes) % _FIGURES_EVERY == 0 or each not in known or not each.only_counts
         ]
 
     async def refresh_all(self, bridge: ShownBridge) -> None:

@@ -213,7 +213,8 @@ class LossWatch:
             delivered: messages that arrived and were published.
             lost: messages that did not, by cause.
         """
-        lost = {cause: count for cause, count in lost.items() if cause not in _NO_LOSS}
+        if lost:  # seldom
+            lost = {cause: count for cause, count in lost.items() if cause not in _NO_LOSS}
         if self._marks and delivered < self._marks[-1][1]:
             self.reset()  # the counts have begun again
         self._marks.append((now, delivered, lost))
@@ -256,6 +257,12 @@ class LossWatch:
         # While nothing at all settles, a loss of everything is no news and goes on.
         elif settled or now - self._marks[0][0] >= LATELY:
             self.loss = None
+
+    @property
+    def is_calm(self) -> bool:
+        """Whether none was lost in the last seconds, nor since the last one that arrived."""
+        marks = self._marks
+        return self.loss is None and not self._row.lost and (not marks or marks[0][2] == marks[-1][2])
 
     def _count_since_loss(self, now: float) -> None:
         if len(self._marks) < 2:

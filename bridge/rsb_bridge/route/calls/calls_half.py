@@ -125,6 +125,9 @@ class CallsHalf:
         malformed = self.facts.last_malformed()
         return self.flow.report, end.unavailable(), end.warning, end.offered, malformed, end.nodes()
 
+    def is_calm(self, now: float) -> bool:
+        return False
+
     def is_well(self, now: float) -> bool:
         return False  # each call may be the last for long, and nothing measures calls
 
