@@ -11,7 +11,7 @@ LONGEST_TEXT = 4096
 """Characters of a text that are read; what a node says is longer than that by mistake only."""
 
 
-class UnreadableError(ValueError):
+class MalformedAnswerError(ValueError):
     """A message is not of its type."""
 
 
@@ -43,13 +43,13 @@ class FieldReader:
     """A message of another program, of which fields are taken in their order.
 
     Raises:
-        UnreadableError: here and in each method, the message is cut off or something else.
+        MalformedAnswerError: here and in each method, the message is cut off or something else.
     """
 
     def __init__(self, message: bytes) -> None:
         order = _ORDERS.get(message[:2])
         if order is None:
-            raise UnreadableError("it is no CDR")
+            raise MalformedAnswerError("it is no CDR")
         self._order = order
         self._message = message
         self._at = _HEADER
@@ -71,7 +71,7 @@ class FieldReader:
         """
         count = int(self.number("I"))
         if count > most or count * smallest > len(self._message) - self._at:
-            raise UnreadableError(f"it says to have {count} elements")
+            raise MalformedAnswerError(f"it says to have {count} elements")
         return count
 
     def text(self) -> str:
@@ -82,6 +82,6 @@ class FieldReader:
     def _take(self, size: int) -> bytes:
         taken = self._message[self._at : self._at + size]
         if len(taken) < size:
-            raise UnreadableError("it is cut off")
+            raise MalformedAnswerError("it is cut off")
         self._at += size
         return taken

@@ -49,7 +49,7 @@ class ManagedNode(msgspec.Struct, frozen=True, omit_defaults=True):
     allowed: bool = False
 
 
-class NodeGroup(msgspec.Struct, frozen=True, omit_defaults=True):
+class ListedGroup(msgspec.Struct, frozen=True, omit_defaults=True):
     """Nodes that are brought up in this order, and down in the reverse one."""
 
     name: Target
@@ -107,11 +107,11 @@ class Managed(msgspec.Struct, frozen=True, omit_defaults=True):
     """The managed nodes and groups of one side, and what is or was done with them, the newest last."""
 
     nodes: Annotated[tuple[ManagedNode, ...], Meta(max_length=MOST_MANAGED)] = ()
-    groups: Annotated[tuple[NodeGroup, ...], Meta(max_length=MOST_GROUPS)] = ()
+    groups: Annotated[tuple[ListedGroup, ...], Meta(max_length=MOST_GROUPS)] = ()
     changes: Annotated[tuple[NodeChange, ...], Meta(max_length=MOST_CHANGES)] = ()
 
     @property
-    def targets(self) -> tuple[NodeGroup | ManagedNode, ...]:
+    def targets(self) -> tuple[ListedGroup | ManagedNode, ...]:
         """All that can be changed."""
         return *self.groups, *self.nodes
 

@@ -10,7 +10,7 @@ from rsb_extras.node_control import GROUPS
 from rsb_extras.node_control.change_records import GROUP_NAME, NODE_NAME, ChangeText, Managed
 from rsb_extras.node_control.change_requests import ChangeNodes, ListManaged, ManagedSide
 from rsb_extras.node_control.link_changes import LinkChanges
-from rsb_extras.node_control.node_changer import Asker, ChangeCode, NodeChanger
+from rsb_extras.node_control.node_changer import ChangeAsker, ChangeCode, NodeChanger
 
 if TYPE_CHECKING:
     from rsb_bridge.feature_api import Bridge, Link, Snapshot
@@ -36,7 +36,7 @@ class ChangesPart(EnginePart):
         return tuple(side for side in sides if side.managed != Managed() or side.problem)
 
     async def _own(self) -> ManagedSide:
-        return ManagedSide(managed=await self._changer.managed(Asker(operator())))
+        return ManagedSide(managed=await self._changer.managed(ChangeAsker(operator())))
 
     async def _of_link(self, link: Link) -> ManagedSide:
         try:
@@ -51,7 +51,7 @@ class ChangesPart(EnginePart):
         ) is None:  # the other side would take it for a broken message
             raise LinkError(f"{one_line(target)} is neither a node's full name nor a group's: /part/part, or nav")
         if not command.link:
-            return await self._changer.run(target, action, Asker(operator()))
+            return await self._changer.run(target, action, ChangeAsker(operator()))
         link = link_named(command.link, self._bridge.links())
         what, log = f"{target} of {link.name}", self._bridge.log
         log.add(ChangeCode.BEGAN, f"{what}: {action} asked for", link=link.name)

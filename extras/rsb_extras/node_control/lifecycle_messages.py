@@ -17,7 +17,7 @@ _MOST_OFFERS = 32
 """Transitions in an answer. A node has at most five, and these may have other names."""
 
 
-class Offer(NamedTuple):
+class OfferedTransition(NamedTuple):
     """A transition that a node offers now, and its number there."""
 
     transition: Transition
@@ -25,16 +25,16 @@ class Offer(NamedTuple):
 
 
 def read_state(answer: bytes) -> str:
-    """Return the state in an answer of GetState; raise `UnreadableError`."""
+    """Return the state in an answer of GetState; raise `MalformedAnswerError`."""
     reader = FieldReader(answer)
     reader.number("B")
     return sanitize_text(reader.text(), _STATE_LENGTH)
 
 
-def read_offers(answer: bytes) -> tuple[Offer, ...]:
-    """Return the transitions in an answer of GetAvailableTransitions; raise `UnreadableError`."""
+def read_offers(answer: bytes) -> tuple[OfferedTransition, ...]:
+    """Return the transitions in an answer of GetAvailableTransitions; raise `MalformedAnswerError`."""
     reader = FieldReader(answer)
-    found: dict[Transition, Offer] = {}
+    found: dict[Transition, OfferedTransition] = {}
     for _ in range(reader.count(20, _MOST_OFFERS)):
         number, label = int(reader.number("B")), reader.text()
         for _ in ("start", "goal"):
@@ -42,15 +42,15 @@ def read_offers(answer: bytes) -> tuple[Offer, ...]:
             reader.text()
         for each in TRANSITIONS:
             if each == label:
-                found[each] = Offer(each, number)
+                found[each] = OfferedTransition(each, number)
     return tuple(found.values())
 
 
-def change_request(offer: Offer) -> bytes:
+def change_request(offer: OfferedTransition) -> bytes:
     """Return a request of ChangeState."""
     return FieldWriter().number("B", offer.number).text(offer.transition).message
 
 
 def read_success(answer: bytes) -> bool:
-    """Return whether an answer of ChangeState says that the transition has succeeded; raise `UnreadableError`."""
+    """Return whether an answer of ChangeState says that the transition has succeeded; raise `MalformedAnswerError`."""
     return bool(FieldReader(answer).number("B"))

@@ -6,7 +6,7 @@ import asyncio
 from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.feature_api import RosError, Wording
-from rsb_extras.node_control.cdr_fields import UnreadableError
+from rsb_extras.node_control.cdr_fields import MalformedAnswerError
 from rsb_extras.node_control.change_records import (
     GOALS,
     MOST_MANAGED,
@@ -23,13 +23,13 @@ from rsb_extras.node_control.lifecycle_messages import (
     GET_STATE,
     GET_STATE_TYPE,
     NO_FIELDS,
-    Offer,
+    OfferedTransition,
     change_request,
     read_offers,
     read_state,
     read_success,
 )
-from rsb_extras.node_control.node_services import CallError
+from rsb_extras.node_control.node_services import NodeSilentError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -63,11 +63,11 @@ class LifecycleProblem(Wording):
     NO_ANSWER = "{node}: its answer about its lifecycle cannot be read: {error}"
 
 
-class Look(NamedTuple):
+class LifecycleLook(NamedTuple):
     """The state of a node, and what it offers there."""
 
     state: str
-    offers: tuple[Offer, ...]
+    offers: tuple[OfferedTransition, ...]
 
 
 def phases(action: LifecycleAction, nodes: Sequence[str]) -> list[tuple[Transition, Sequence[str]]]:
@@ -95,23 +95,23 @@ async def managed_names(context: Context) -> tuple[str, ...]:
     return tuple(sorted(names))[:MOST_MANAGED]
 
 
-async def look_at(services: NodeServices, node: str, within: float = _LOOK_WITHIN) -> Look:
-    """Return a node's state, and what it offers; raise `CallError`."""
+async def look_at(services: NodeServices, node: str, within: float = _LOOK_WITHIN) -> LifecycleLook:
+    """Return a node's state, and what it offers; raise `NodeSilentError`."""
     state, offers = await asyncio.gather(
         services.call(node, GET_STATE, GET_STATE_TYPE, NO_FIELDS, within),
         services.call(node, GET_OFFERS, GET_OFFERS_TYPE, NO_FIELDS, within),
     )
     try:
-        return Look(read_state(state), read_offers(offers))
-    except UnreadableError as error:
-        raise CallError(LifecycleProblem.NO_ANSWER(node=node, error=error)) from None
+        return LifecycleLook(read_state(state), read_offers(offers))
+    except MalformedAnswerError as error:
+        raise NodeSilentError(LifecycleProblem.NO_ANSWER(node=node, error=error)) from None
 
 
 async def managed_node(services: NodeServices, node: str) -> ManagedNode:
     """Return what is known of a node; one that does not answer has no state."""
     try:
         look = await look_at(services, node, _LISTED_WITHIN)
-    except CallError:
+    except NodeSilentError:
         return ManagedNode(node)
     return ManagedNode(node, look.state, tuple(each.transition for each in look.offers))
 
@@ -132,21 +132,21 @@ async def transit(context: Context, services: NodeServices, node: str, transitio
             state, is_done = await _change(services, node, offer)
             if not is_done:
                 reason = LifecycleProblem.REFUSED(node=node, transition=transition, state=state or "silent")
-    except CallError as error:
+    except NodeSilentError as error:
         reason = str(error)
     return ChangeStep(node, transition, state, reason, context.now() - began)
 
 
-async def _change(services: NodeServices, node: str, offer: Offer) -> tuple[str, bool]:
+async def _change(services: NodeServices, node: str, offer: OfferedTransition) -> tuple[str, bool]:
     """Return the state after a transition, and whether the transition has led there."""
     answer = await services.call(node, CHANGE_STATE, CHANGE_STATE_TYPE, change_request(offer), TRANSIT_WITHIN)
     try:
         is_done = read_success(answer)
-    except UnreadableError as error:
-        raise CallError(LifecycleProblem.NO_ANSWER(node=node, error=error)) from None
+    except MalformedAnswerError as error:
+        raise NodeSilentError(LifecycleProblem.NO_ANSWER(node=node, error=error)) from None
     try:
         state = (await look_at(services, node)).state
-    except CallError:
+    except NodeSilentError:
         # A node may end with its shutdown.
         return "", is_done and offer.transition == "shutdown"
     return state, is_done and state == GOALS[offer.transition]

@@ -10,7 +10,7 @@ from rsb_extras.node_control.change_records import (
     LIFECYCLE_ACTIONS,
     ChangeOutcome,
     LifecycleAction,
-    NodeGroup,
+    ListedGroup,
 )
 
 if TYPE_CHECKING:
@@ -73,7 +73,7 @@ def rows(role: str, sides: Sequence[ManagedSide]) -> Iterator[LifecycleRow]:
         under_way = {each.target: each for each in managed.changes if not each.outcome.is_over}
         for each in managed.targets:
             nodes: tuple[str, ...] = ()
-            if isinstance(each, NodeGroup):
+            if isinstance(each, ListedGroup):
                 state, actions, nodes = _group_state(each, known), _OF_GROUPS, each.nodes
             else:
                 state, actions = each.state or LifecycleText.NO_ANSWER(), _possible(each.offers)
@@ -86,7 +86,7 @@ def _possible(offers: Sequence[str]) -> tuple[LifecycleAction, ...]:
     return tuple(each for each in LIFECYCLE_ACTIONS if each in offers)
 
 
-def _group_state(group: NodeGroup, known: dict[str, ManagedNode]) -> str:
+def _group_state(group: ListedGroup, known: dict[str, ManagedNode]) -> str:
     """Return how many of a group's nodes are in each state: ``2 active, 1 inactive``."""
     states = Counter(
         known[name].state or LifecycleText.NO_ANSWER() if name in known else "missing" for name in group.nodes

@@ -24,7 +24,7 @@ from rsb_bridge.feature_api import (
 )
 from rsb_extras.node_control.change_records import ChangeOutcome, LifecycleAction, Managed, Target
 from rsb_extras.node_control.change_requests import LONGEST, TICKET_WITHIN
-from rsb_extras.node_control.node_changer import Asker, NodeChanger
+from rsb_extras.node_control.node_changer import ChangeAsker, NodeChanger
 
 if TYPE_CHECKING:
     from rsb_bridge.feature_api import Link
@@ -150,7 +150,7 @@ class LinkChanges(Extension):
 
     async def _answer(self, ask: AskManaged) -> ManagedAnswer:
         if not ask.ticket:
-            return ManagedAnswer(ask.request, managed=await self._changer.managed(Asker("", self._link)))
+            return ManagedAnswer(ask.request, managed=await self._changer.managed(ChangeAsker("", self._link)))
         self._last_ticket += 1
         self._given[self._last_ticket] = _Ticket(self._link.context.now() + TICKET_LIFE, self._link.association)
         if len(self._given) > _MOST_TICKETS:
@@ -170,7 +170,7 @@ class LinkChanges(Extension):
             self._link.spawn(self._report(ask.ticket))
 
     def _begin(self, ask: RunChange) -> None:
-        asker = Asker(f"{self._link.peer_name}, which says: {ask.who or 'an operator'}", self._link)
+        asker = ChangeAsker(f"{self._link.peer_name}, which says: {ask.who or 'an operator'}", self._link)
         run = self._changer.run(ask.target, ask.action, asker)
         self._runs[ask.ticket] = self._link.context.loop.create_task(run)
         over = [ticket for ticket, each in self._runs.items() if each.done()]

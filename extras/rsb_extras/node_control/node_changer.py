@@ -19,10 +19,10 @@ from rsb_extras.node_control.change_records import (
     ChangeOutcome,
     ChangeStep,
     ChangeText,
+    ListedGroup,
     Managed,
     ManagedNode,
     NodeChange,
-    NodeGroup,
 )
 from rsb_extras.node_control.lifecycle_nodes import managed_names, managed_node, phases, transit
 from rsb_extras.node_control.node_services import NodeServices
@@ -64,7 +64,7 @@ class ChangeProblem(Wording):
     ENDED = "an operator of its side ended it, for another change: look at the nodes' states"
 
 
-class Asker(NamedTuple):
+class ChangeAsker(NamedTuple):
     """The one who asks for a change.
 
     Attributes:
@@ -88,7 +88,7 @@ class _Doing:
     target: str
     action: LifecycleAction
     nodes: tuple[str, ...]
-    asker: Asker
+    asker: ChangeAsker
     began: float
     work: asyncio.Task[str]
     steps: list[ChangeStep] = field(default_factory=list)
@@ -121,7 +121,7 @@ class NodeChanger:
 
     # --- what there is
 
-    async def managed(self, asker: Asker) -> Managed:
+    async def managed(self, asker: ChangeAsker) -> Managed:
         """Return the managed nodes with their states, the groups, and the last changes, as far as one may see them."""
         is_looking = self._looking is not None and not self._looking.done()
         if not is_looking and self._context.now() - self._looked_at >= _LOOKED_EVERY:
@@ -130,7 +130,7 @@ class NodeChanger:
             await asyncio.shield(self._looking)
         nodes = (msgspec.structs.replace(each, allowed=self._may(asker, each.name)) for each in self._found)
         groups = (
-            NodeGroup(name, of_group, all(self._may(asker, each) for each in of_group))
+            ListedGroup(name, of_group, all(self._may(asker, each) for each in of_group))
             for name, of_group in tuple(self._groups.items())[:MOST_GROUPS]
         )
         shows = asker.link is None or SHOW_NODES.of(asker.link.end.rights)
@@ -154,7 +154,7 @@ class NodeChanger:
 
     # --- changes
 
-    async def run(self, target: str, action: LifecycleAction, asker: Asker) -> ChangeOutcome:
+    async def run(self, target: str, action: LifecycleAction, asker: ChangeAsker) -> ChangeOutcome:
         """Carry out a change, or refuse it. It goes on if nobody waits for it any more.
 
         An operator of this side does not wait for a peer's change, but ends it.
@@ -179,7 +179,7 @@ class NodeChanger:
     def _nodes(self, target: str) -> tuple[str, ...]:
         return (target,) if "/" in target else self._groups.get(target, ())
 
-    def _may(self, asker: Asker, node: str) -> bool:
+    def _may(self, asker: ChangeAsker, node: str) -> bool:
         if asker.link is None:
             return True
         given = MAY_CHANGE.of(asker.link.end.rights)
@@ -188,7 +188,7 @@ class NodeChanger:
     def _overlapping(self, nodes: Sequence[str]) -> list[_Doing]:
         return [each for each in self._doing if not {*each.nodes}.isdisjoint(nodes)]
 
-    def _refusal(self, target: str, nodes: Sequence[str], asker: Asker) -> str:
+    def _refusal(self, target: str, nodes: Sequence[str], asker: ChangeAsker) -> str:
         now, is_own = self._context.now(), asker.link is None
         if refusal := self._lacks_right(target, nodes, asker):
             return refusal
@@ -208,7 +208,7 @@ class NodeChanger:
         what = "" if asker.link is None else armed_of_nodes(self.links, nodes, self._context.ros, asker.link)
         return ChangeProblem.ARMED(what=what) if what else ""
 
-    def _lacks_right(self, target: str, nodes: Sequence[str], asker: Asker) -> str:
+    def _lacks_right(self, target: str, nodes: Sequence[str], asker: ChangeAsker) -> str:
         if asker.link is None:
             return ""
         # A group that is not listed is refused as one that may not be asked for: a peer learns nothing by asking.
@@ -249,7 +249,7 @@ class NodeChanger:
         self._log(level, code, f"{doing.target}: {ChangeText.of(doing.action, outcome)}", doing.asker)
         return outcome
 
-    def _log(self, level: Level, code: ChangeCode, text: str, asker: Asker) -> None:
+    def _log(self, level: Level, code: ChangeCode, text: str, asker: ChangeAsker) -> None:
         link = "" if asker.link is None else asker.link.name
         is_own = asker.link is None
         self._context.log(level, code, f"{text}, by {asker.who}", link=link, who=asker.who, from_peer=not is_own)

@@ -21,7 +21,7 @@ _LOOK_EVERY, _LOOK_AGAIN = 0.02, 0.2
 """s between two looks whether a client has met its server, and whether that is the only one. Round figures."""
 
 
-class CallProblem(Wording):
+class NodeServiceProblem(Wording):
     """The reason why a node's service gives no answer."""
 
     GONE = "{node} does not run, or has no service {service}"
@@ -30,7 +30,7 @@ class CallProblem(Wording):
     SILENT = "{node} did not answer within {seconds:g} s: look at its state before you ask again"
 
 
-class CallError(Exception):
+class NodeSilentError(Exception):
     """A call has no answer; the text says why, for an operator."""
 
 
@@ -66,7 +66,7 @@ class NodeServices:
         """Call a service of a node, ``/change_state``, and return its answer.
 
         Raises:
-            CallError: there is no answer.
+            NodeSilentError: there is no answer.
         """
         try:
             async with asyncio.timeout(within):
@@ -83,10 +83,10 @@ class NodeServices:
                     kept.used = self._context.now()
         except TimeoutError:
             count = len(await self._servers(node + service))
-            text = CallProblem.TWICE if count > 1 else CallProblem.SILENT
-            raise CallError(text(node=node, seconds=within, count=count)) from None
+            text = NodeServiceProblem.TWICE if count > 1 else NodeServiceProblem.SILENT
+            raise NodeSilentError(text(node=node, seconds=within, count=count)) from None
         except RosError as error:
-            raise CallError(str(error)) from None
+            raise NodeSilentError(str(error)) from None
 
     async def _servers(self, name: str) -> list[Endpoint]:
         return await asyncio.to_thread(self._context.ros.servers, name)
@@ -97,10 +97,10 @@ class NodeServices:
         while len(servers := await self._servers(name)) > 1:  # noqa: ASYNC110 -- nobody tells of its end
             await asyncio.sleep(_LOOK_AGAIN)
         if not servers:
-            raise CallError(CallProblem.GONE(node=node, service=service))
+            raise NodeSilentError(NodeServiceProblem.GONE(node=node, service=service))
         found = servers[0]
         if found.type_name != type_name:
-            raise CallError(CallProblem.OTHER(node=node, service=service, found=found.type_name))
+            raise NodeSilentError(NodeServiceProblem.OTHER(node=node, service=service, found=found.type_name))
         kept = self._kept.get(name)
         if kept is not None and kept.type_hash == found.type_hash:
             return kept

@@ -11,7 +11,7 @@ from tests.fuzz.parsers.control_messages import check_message
 from rsb_bridge.model.text import is_clean
 from rsb_bridge.wire.codec import decode, encode
 from rsb_bridge.wire.protocol_error import ProtocolError
-from rsb_extras.node_control.cdr_fields import FieldWriter, UnreadableError
+from rsb_extras.node_control.cdr_fields import FieldWriter, MalformedAnswerError
 from rsb_extras.node_control.change_records import LIFECYCLE_ACTIONS, MOST_MANAGED, MOST_STEPS, TRANSITIONS, ChangeText
 from rsb_extras.node_control.lifecycle_messages import read_offers, read_state, read_success
 from rsb_extras.node_control.link_changes import AskManaged, ChangeEnded, ManagedAnswer, RunChange
@@ -49,13 +49,13 @@ def _read_message(data: bytes) -> None:
 
 
 def _read_answers(data: bytes) -> None:
-    with suppress(UnreadableError):
+    with suppress(MalformedAnswerError):
         state = read_state(data)
         assert is_clean(state)
         assert len(state) <= 32
-    with suppress(UnreadableError):
+    with suppress(MalformedAnswerError):
         assert {each.transition for each in read_offers(data)} <= {*TRANSITIONS}
-    with suppress(UnreadableError):
+    with suppress(MalformedAnswerError):
         read_success(data)
 
 

@@ -7,10 +7,10 @@ from typing import Any
 from rsb_extras.node_control.change_records import (
     ChangeOutcome,
     ChangeStep,
+    ListedGroup,
     Managed,
     ManagedNode,
     NodeChange,
-    NodeGroup,
 )
 from rsb_extras.node_control.change_requests import ChangeNodes, ListManaged, ManagedSide
 
@@ -32,7 +32,7 @@ SIDES = (
                 ManagedNode("/nav/planner_server", "inactive", ("activate", "cleanup", "shutdown"), True),
                 ManagedNode("/silent"),
             ),
-            (NodeGroup("nav", ("/nav/planner_server", "/controller"), True),),
+            (ListedGroup("nav", ("/nav/planner_server", "/controller"), True),),
             (NodeChange("nav", "up", FAILED),),
         ),
     ),

@@ -97,7 +97,7 @@ def test_group_stops_at_first_refusal_and_goes_on_later(bridge: Bridge, nodes: M
 
 
 def test_node_offers_and_takes_transitions(bridge: Bridge, nodes: ManagedNodes) -> None:
-    pc, _ = two_sides(bridge, "/planner")
+    pc, robot = two_sides(bridge, "/planner")
 
     def planner() -> tuple[str, tuple[str, ...], bool]:
         found = next((each for each in managed(pc).nodes if each.name == "/planner"), None)
@@ -112,12 +112,8 @@ def test_node_offers_and_takes_transitions(bridge: Bridge, nodes: ManagedNodes) 
     assert change(pc, "deactivate", "/planner").done
     assert change(pc, "cleanup", "/planner").done
     assert change(pc, "shutdown", "/planner").steps[0].state == "finalized"
-    gone = change(robot_of(bridge), "configure", "/nobody", link="")
+    gone = change(robot, "configure", "/nobody", link="")
     assert gone.reason == "/nobody does not run, or has no service /get_state"
-
-
-def robot_of(bridge: Bridge) -> Engine:
-    return next(each for each in bridge.started if each.session.role == "client")
 
 
 def test_without_the_right_the_other_side_only_looks(bridge: Bridge, nodes: ManagedNodes) -> None:

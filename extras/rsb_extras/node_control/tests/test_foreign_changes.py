@@ -20,10 +20,10 @@ from rsb_extras import node_control
 from rsb_extras.node_control.change_records import (
     ChangeOutcome,
     ChangeStep,
+    ListedGroup,
     Managed,
     ManagedNode,
     NodeChange,
-    NodeGroup,
 )
 from rsb_extras.node_control.link_changes import AskManaged, ChangeEnded, ManagedAnswer, RunChange
 from rsb_extras.node_control.node_changer import STARTS, ChangeCode
@@ -64,7 +64,7 @@ def outcome(peer: Rogue, target: str, action: Any = "configure", number: int | N
 def test_the_page_documents_each_field() -> None:
     page = Path(node_control.__file__).with_name("docs") / "node-control-protocol.md"
     kinds = (
-        AskManaged, ManagedAnswer, RunChange, ChangeEnded, Managed, ManagedNode, NodeGroup, NodeChange, ChangeOutcome,
+        AskManaged, ManagedAnswer, RunChange, ChangeEnded, Managed, ManagedNode, ListedGroup, NodeChange, ChangeOutcome,
         ChangeStep,
     )  # fmt: skip
     assert documented_fields(page.read_text(encoding="utf-8")) == {

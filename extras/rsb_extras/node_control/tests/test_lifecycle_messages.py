@@ -7,10 +7,10 @@ from lifecycle_msgs.msg import State, Transition, TransitionDescription
 from lifecycle_msgs.srv import ChangeState, GetAvailableTransitions, GetState
 from rclpy.serialization import deserialize_message, serialize_message
 
-from rsb_extras.node_control.cdr_fields import FieldReader, FieldWriter, UnreadableError
+from rsb_extras.node_control.cdr_fields import FieldReader, FieldWriter, MalformedAnswerError
 from rsb_extras.node_control.lifecycle_messages import (
     NO_FIELDS,
-    Offer,
+    OfferedTransition,
     change_request,
     read_offers,
     read_state,
@@ -20,7 +20,7 @@ from rsb_extras.node_control.lifecycle_nodes import phases
 
 
 def test_requests_are_those_of_ros() -> None:
-    request = deserialize_message(change_request(Offer("activate", 3)), ChangeState.Request)
+    request = deserialize_message(change_request(OfferedTransition("activate", 3)), ChangeState.Request)
     assert (request.transition.id, request.transition.label) == (3, "activate")
     deserialize_message(NO_FIELDS, GetState.Request)
 
@@ -33,7 +33,7 @@ def test_answers_of_ros_are_read() -> None:
         for number, label in ((4, "deactivate"), (7, "shutdown"), (9, "dance"))
     ]
     answer = serialize_message(GetAvailableTransitions.Response(available_transitions=told))
-    assert read_offers(answer) == (Offer("deactivate", 4), Offer("shutdown", 7))
+    assert read_offers(answer) == (OfferedTransition("deactivate", 4), OfferedTransition("shutdown", 7))
     for success in (True, False):
         assert read_success(serialize_message(ChangeState.Response(success=success))) is success
 
@@ -41,7 +41,7 @@ def test_answers_of_ros_are_read() -> None:
 @pytest.mark.parametrize("broken", [b"", b"\0\1\0", b"\0\1\0\0", b"\0\7\0\0\3", b"\0\1\0\0" + b"\xff" * 40])
 def test_nonsense_is_refused(broken: bytes) -> None:
     for read in (read_state, read_offers):
-        with pytest.raises(UnreadableError):
+        with pytest.raises(MalformedAnswerError):
             read(broken)
 
 
