@@ -28,6 +28,7 @@ GROUP = "rsb_console.feature"
 
 BRINGS: Mapping[str, str] = {
     "bench": "bench",
+    "groups": "node_control",
     **dict.fromkeys(("hear_rosout", "show_nodes"), "nodes"),
     **dict.fromkeys(("diagnostics_topic", "driver_topic", "metrics", "on_fault"), "exporters"),
     "record": "recording",
@@ -35,19 +36,19 @@ BRINGS: Mapping[str, str] = {
     "zenoh": "zenoh",
 }
 """Keys of session files, with the feature of this project that brings each, for messages where it is missing."""
-BRINGS_RIGHTS: Mapping[str, str] = {"units": "units"}
+BRINGS_RIGHTS: Mapping[str, str] = {"nodes": "node_control", "units": "units"}
 """The same of rights of a link's other side, the keys of `MAY`."""
 BRINGS_TRANSPORTS: Mapping[str, str] = {"zenoh": "zenoh", "zenoh-drop": "zenoh"}
 """The same of transports."""
 BRINGS_COMMANDS: Mapping[str, str] = {
     "audit": "audit", "bench": "bench", "demo": "demo", "doctor": "doctor", "fleet": "fleet", "import": "imports",
-    "look": "pictures", "nodes": "nodes", "pub": "driving", "record": "recording", "report": "history",
-    "service": "service", "units": "units",
+    "lifecycle": "node_control", "look": "pictures", "nodes": "nodes", "pub": "driving", "record": "recording",
+    "report": "history", "service": "service", "units": "units",
 }  # fmt: skip
 """The same of subcommands."""
 BRINGS_ACTIONS: Mapping[str, str] = {
-    "demo": "demo", "drive": "driving", "history": "history", "import_session": "imports", "look": "pictures",
-    "nodes": "nodes", "publish": "driving", "record": "recording", "units": "units",
+    "demo": "demo", "drive": "driving", "history": "history", "import_session": "imports", "lifecycle": "node_control",
+    "look": "pictures", "nodes": "nodes", "publish": "driving", "record": "recording", "units": "units",
     **dict.fromkeys(("dismiss", "edit_marked", "mark", "open_robot"), "fleet"),
 }  # fmt: skip
 """The same of actions of the console, by their ids in ``keys.yaml``."""

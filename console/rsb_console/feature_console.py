@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from rsb_bridge.feature import late_names
 
 if TYPE_CHECKING:
-    from rsb_console.actions.action import Action, Beginning, CameraSight, Group, KeyChapter, OnRobot, late
+    from rsb_console.actions.action import Action, Beginning, CameraSight, Group, KeyChapter, OnNode, OnRobot, late
     from rsb_console.actions.all_actions import ACTIONS
     from rsb_console.command.argument_values import count, seconds, within
     from rsb_console.command.formatting import json_line
@@ -54,7 +54,16 @@ if TYPE_CHECKING:
 
 _NAMES = {
     "rsb_console.actions.all_actions": ("ACTIONS",),
-    "rsb_console.actions.action": ("Action", "Beginning", "Group", "KeyChapter", "OnRobot", "CameraSight", "late"),
+    "rsb_console.actions.action": (
+        "Action",
+        "Beginning",
+        "Group",
+        "KeyChapter",
+        "OnNode",
+        "OnRobot",
+        "CameraSight",
+        "late",
+    ),
     "rsb_console.command.argument_values": ("count", "seconds", "within"),
     "rsb_console.command.formatting": ("json_line",),
     "rsb_console.command.remote_arguments": (

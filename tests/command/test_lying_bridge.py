@@ -41,6 +41,7 @@ ASKING = [
     "client rekey pc.yaml robot1", "client rekey pc.yaml robot1 --keep-old", "client rekey robot1 --finish --yes",
     "client remove robot1", "client remove pc.yaml robot1", "bench --quick --seconds 1", "doctor pc.yaml",
     "nodes", "nodes --json", "units", "units --json", "units restart '' --yes",
+    "lifecycle", "lifecycle --json", "lifecycle up '' --yes",
     "fleet --json --seconds 1", "fleet dismiss --all", "fleet exec --all -- status",
     f"fleet edit --all {SCAN} max_rate=5 --yes",
 ]  # fmt: skip

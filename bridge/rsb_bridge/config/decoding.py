@@ -182,7 +182,7 @@ def _entry_like(kind: Any, value: object) -> str:
 
 def _entry(value: object, kind: Any, problems: list[Problem], location: str) -> Any:
     model = get_args(kind)[1] if get_origin(kind) is dict else None
-    if isinstance(model, type) and issubclass(model, msgspec.Struct):
+    if get_origin(model) is tuple or (isinstance(model, type) and issubclass(model, msgspec.Struct)):
         return _named(value, model, problems, location)
     structs = [each for each in _alternatives(kind) if isinstance(each, type) and issubclass(each, msgspec.Struct)]
     # Where a text may stand instead of a mapping, only a mapping is read as one.
@@ -199,15 +199,18 @@ def _entry(value: object, kind: Any, problems: list[Problem], location: str) -> 
         return msgspec.UNSET
 
 
-def _named(value: object, model: type[msgspec.Struct], problems: list[Problem], location: str) -> Any:
-    """Return structs by the names that the operator has given them, each mistake with its place."""
+def _named(value: object, model: Any, problems: list[Problem], location: str) -> Any:
+    """Return structs or lists by the names that the operator has given them, each mistake with its place."""
     if not isinstance(value, Mapping):
         problems.append(Problem(location, _misfit(value, dict)))
         return msgspec.UNSET
     problems += [Problem(location, _misfit(name, str)) for name in value if not isinstance(name, str)]
-    return {
-        name: read(each, model, problems, join(location, name)) for name, each in value.items() if isinstance(name, str)
+    named = {
+        name: _value(each, model, problems, join(location, name))
+        for name, each in value.items()
+        if isinstance(name, str)
     }
+    return {name: each for name, each in named.items() if each is not msgspec.UNSET}
 
 
 def holds_key(value: object) -> bool:

@@ -72,6 +72,21 @@ class OnRobot(NamedTuple):
     run: Callable[[Any, Sequence[RouteSnapshot], Callable[[], CameraSight | None]], Awaitable[None]]
 
 
+class OnNode(NamedTuple):
+    """An action on the node under the cursor in a list of nodes.
+
+    Attributes:
+        key: Textual key name there.
+        label: the key with its meaning, for that list's line of keys.
+        run: a coroutine function of a `rsb_console.console_api.Console`, the name of the link to the node's side, which
+            is empty for this side, and the node's full name.
+    """
+
+    key: str
+    label: str
+    run: Callable[[Any, str, str], Awaitable[None]]
+
+
 class Beginning(NamedTuple):
     """An action in the menu of all ways to begin.
 
@@ -132,6 +147,7 @@ class Action:
             function of a `rsb_console.console_api.Console`, a topic, a type and fields as YAML; or None.
         on_link: the same on a link under the cursor in the list of links: a coroutine function of a
             `rsb_console.console_api.Console` and the link's snapshot; or None.
+        on_node: the same on the node under the cursor in a list of nodes; or None.
         after: the id of the action that it follows in help, footer and palette; or empty, to be the last.
         begins: how menus offer it as a way to begin, or None; then `run` is a coroutine function.
         chapters: the keys of the screens that it opens, for the help.
@@ -155,6 +171,7 @@ class Action:
     on_robot: OnRobot | None = None
     with_message: Callable[[Any, str, str, str], Awaitable[None]] | None = None
     on_link: Callable[[Any, LinkSnapshot], Awaitable[None]] | None = None
+    on_node: OnNode | None = None
     after: str = ""
     begins: Beginning | None = None
     chapters: tuple[KeyChapter, ...] = ()

@@ -12,6 +12,8 @@ from textual.screen import ModalScreen
 
 from rsb_bridge.feature_api import EngineError, Wording
 from rsb_console.feature_console import (
+    ACTIONS,
+    DIALOG,
     STATE_SIGN,
     Dialog,
     FilteredScreen,
@@ -39,7 +41,11 @@ if TYPE_CHECKING:
 _RENEWED_EVERY = 1.0  # s; the bridges ask each other as often
 _FOLDED_FROM = 8  # nodes of a namespace without a fault. A round figure
 _LABEL = 12
-HELP = "⏎ node, or fold   / filter   f faults   t its topics   s side   esc close"
+ON_NODE = {action.id: action.on_node for action in ACTIONS if action.on_node is not None}
+HELP = "   ".join(
+    ("⏎ node, or fold", "/ filter", "f faults", "t its topics", *(each.label for each in ON_NODE.values()), "s side",
+     "esc close")
+)  # fmt: skip
 _DETAIL_HELP = "t its topics   j k scroll   esc back"
 
 
@@ -88,6 +94,7 @@ class NodesScreen(FilteredScreen[str | None]):
         Binding("f", "faults", show=False),
         Binding("t", "topics", show=False),
         Binding("s", "side", show=False),
+        *(Binding(each.key, f"on_node({name!r})", show=False) for name, each in ON_NODE.items()),
     ]
     AUTO_FOCUS = "#nodes"
     DEFAULT_CSS = """
@@ -260,6 +267,12 @@ class NodesScreen(FilteredScreen[str | None]):
             self.dismiss(f"{robot}topic:(?:{'|'.join(map(re.escape, topics))})$")
         else:
             self.notify(NodesScreenText.NO_TOPICS(node=name), markup=False)
+
+    def action_on_node(self, name: str) -> None:
+        """Do another feature's action on the node under the cursor."""
+        node = self.table.cursor_key or ""
+        if node in self.book.nodes and self.table.is_seen():
+            self.run_worker(ON_NODE[name].run(self.console, self._side or "", node), group=DIALOG)
 
     def on_selectable_list_chosen(self) -> None:
         self.action_open()

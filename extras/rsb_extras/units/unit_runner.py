@@ -13,7 +13,7 @@ from math import inf
 from typing import TYPE_CHECKING, NamedTuple
 from weakref import WeakSet
 
-from rsb_bridge.feature_api import Level, RosError, Wording, in_thread, one_line, sanitize_text
+from rsb_bridge.feature_api import Level, Wording, armed_of_nodes, in_thread, one_line, sanitize_text
 from rsb_extras.units import MAY_ASK, UNITS
 from rsb_extras.units.unit_process import CommandEnd, run_words, state_of
 from rsb_extras.units.unit_records import ACTIONS, MOST_UNITS, UnitOutcome, UnitRecord, UnitState, UnitText
@@ -21,7 +21,7 @@ from rsb_extras.units.unit_records import ACTIONS, MOST_UNITS, UnitOutcome, Unit
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from rsb_bridge.feature_api import Context, Link, Route
+    from rsb_bridge.feature_api import Context, Link
     from rsb_extras.units import ListedUnit
     from rsb_extras.units.unit_records import UnitAction
 
@@ -209,30 +209,11 @@ class UnitRunner:
         return "" if asker.link is None else self._armed(name, unit, asker.link)
 
     def _armed(self, name: str, unit: ListedUnit, asker: Link) -> str:
-        """Return what is armed and may be of a unit's nodes, in words, or an empty string.
-
-        The topic of another link has a name there only if the asker may know it.
-        """
-        for link, route in ((each, route) for each in self.links for route in each.routes.values()):
-            if route.arming.held and (not unit.nodes or self._concerns(route, unit.nodes)):
-                nodes = (UnitProblem.HEARS if unit.nodes else UnitProblem.NO_NODES)(name=name)
-                is_known = link is asker or asker.end.shows(route.local_topic, route.spec.kind)
-                return UnitProblem.ARMED(what=route.local_topic if is_known else "something", nodes=nodes)
-        return ""
-
-    def _concerns(self, route: Route, nodes: Sequence[str]) -> bool:
-        """Whether one of some nodes takes what crosses on a route; also if DDS does not tell."""
-        ros, name = self._context.ros, route.local_topic
-        if route.spec.kind == "parameters":
-            return name in nodes
-        try:
-            if route.spec.kind == "topic":
-                found = ros.subscriptions(name)
-            else:
-                found = ros.servers(f"{name}/_action/send_goal" if route.spec.kind == "action" else name)
-        except RosError:
-            return True
-        return any(each.node in ("", *nodes) for each in found)
+        """Return what is armed and may be of a unit's nodes, in words, or an empty string."""
+        if not (what := armed_of_nodes(self.links, unit.nodes, self._context.ros, asker)):
+            return ""
+        nodes = (UnitProblem.HEARS if unit.nodes else UnitProblem.NO_NODES)(name=name)
+        return UnitProblem.ARMED(what=what, nodes=nodes)
 
     async def _carry_out(self, doing: _Doing, unit: ListedUnit) -> UnitOutcome:
         began, words = self._context.now(), getattr(unit, doing.action)

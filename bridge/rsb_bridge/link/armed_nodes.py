@@ -1,0 +1,45 @@
+"""Finds what is armed of some nodes: an operator who does not see that a node is driven must not change it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rsb_bridge.ros.ros_interface import RosError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from rsb_bridge.link.link import Link
+    from rsb_bridge.ros.ros_interface import RosInterface
+    from rsb_bridge.route.route import Route
+
+_UNNAMED = "something"
+
+
+def armed_of_nodes(links: Iterable[Link], nodes: Sequence[str], ros: RosInterface, asker: Link) -> str:
+    """Return the name of a route that is armed, and that one of some nodes takes, or an empty string.
+
+    Args:
+        nodes: full names; of none, whatever is armed counts.
+        asker: the link of the peer that asks. It gets the name of another link's route only if it may know that.
+    """
+    for link, route in ((each, route) for each in links for route in each.routes.values()):
+        if route.arming.held and (not nodes or _concerns(route, nodes, ros)):
+            is_known = link is asker or asker.end.shows(route.local_topic, route.spec.kind)
+            return route.local_topic if is_known else _UNNAMED
+    return ""
+
+
+def _concerns(route: Route, nodes: Sequence[str], ros: RosInterface) -> bool:
+    """Whether one of some nodes takes what crosses on a route; also if DDS does not tell."""
+    name = route.local_topic
+    if route.spec.kind == "parameters":
+        return name in nodes
+    try:
+        if route.spec.kind == "topic":
+            found = ros.subscriptions(name)
+        else:
+            found = ros.servers(f"{name}/_action/send_goal" if route.spec.kind == "action" else name)
+    except RosError:
+        return True
+    return any(each.node in ("", *nodes) for each in found)

@@ -1,0 +1,85 @@
+"""Node control: operators of either side change the lifecycle states of a robot's nodes, alone or in groups."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from rsb_bridge.feature_api import Feature, PeerRight, SessionKey
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from rsb_bridge.feature_api import Bridge, Command, ControlMessageBase, EnginePart, Extension, Link
+    from rsb_console.feature_console import Action, AddCommand, Complete
+
+GROUPS: SessionKey[dict[str, tuple[str, ...]]] = SessionKey("groups", dict[str, tuple[str, ...]], {}, live=True)
+"""Managed nodes of this side by the names of groups, in the order in which they are brought up."""
+MAY_CHANGE: PeerRight[tuple[str, ...]] = PeerRight("nodes", tuple[str, ...], ())
+"""The nodes that the other side may have changed, and the groups of which it may have all changed."""
+
+
+class NodeControl(Feature):
+    name = "node_control"
+
+    def session_keys(self) -> Iterable[SessionKey[Any]]:
+        return (GROUPS,)
+
+    def rights(self) -> Iterable[PeerRight[Any]]:
+        return (MAY_CHANGE,)
+
+    def problems(self, session: Any) -> Iterable[tuple[str, str]]:
+        from rsb_extras.node_control import group_rules  # noqa: PLC0415 -- `Feature` says why, here and below
+
+        return group_rules.problems(session)
+
+    def effects(self, session: Any) -> Iterable[str]:
+        from rsb_extras.node_control import group_rules  # noqa: PLC0415
+
+        return group_rules.effects(session)
+
+    def messages(self) -> Iterable[type[ControlMessageBase]]:
+        from rsb_extras.node_control.link_changes import (  # noqa: PLC0415
+            AskManaged,
+            ChangeEnded,
+            ManagedAnswer,
+            RunChange,
+        )
+
+        return AskManaged, ManagedAnswer, RunChange, ChangeEnded
+
+    def extensions(self, link: Link) -> Iterable[Extension]:
+        from rsb_extras.node_control.link_changes import LinkChanges  # noqa: PLC0415
+
+        return (LinkChanges(link),)
+
+    def commands(self) -> Iterable[type[Command[Any]]]:
+        from rsb_extras.node_control.change_requests import ChangeNodes, ListManaged  # noqa: PLC0415
+
+        return ListManaged, ChangeNodes
+
+    def parts(self, bridge: Bridge) -> Iterable[EnginePart]:
+        from rsb_extras.node_control.changes_part import ChangesPart  # noqa: PLC0415
+
+        return (ChangesPart(bridge),)
+
+    def subcommands(self, add: AddCommand, complete: Complete) -> None:
+        from rsb_extras.node_control.lifecycle_arguments import add_lifecycle  # noqa: PLC0415
+
+        add_lifecycle(add, complete)
+
+    def actions(self) -> Iterable[Action]:
+        from rsb_console.feature_console import Action, Group, OnNode, late  # noqa: PLC0415
+        from rsb_extras.node_control.lifecycle_arguments import CHAPTERS  # noqa: PLC0415
+
+        screen = "rsb_extras.node_control.lifecycle_screen"
+        return (
+            Action(
+                "lifecycle", "X", "lifecycle", "Show managed nodes and groups of both sides; change their states",
+                Group.OPERATE, also="configure activate deactivate cleanup shutdown bring up down nav2",
+                run=late(f"{screen}:show_lifecycle"), chapters=CHAPTERS,
+                on_node=OnNode("x", "x lifecycle", late(f"{screen}:lifecycle_of_node")),
+            ),
+        )  # fmt: skip
+
+
+FEATURE = NodeControl()

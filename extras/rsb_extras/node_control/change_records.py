@@ -1,0 +1,140 @@
+"""Managed nodes, groups of nodes, and changes of them with their steps: their types have bounds, for links too."""
+
+from __future__ import annotations
+
+import re
+from typing import Annotated, Literal, TypeAlias, get_args
+
+import msgspec
+from msgspec import Meta
+
+from rsb_bridge.feature_api import PRINTABLE, Name, Reason, Seconds, Wording
+
+MOST_GROUPS, MOST_OF_GROUP = 16, 32
+"""Of a session, and nodes of one. Round figures: Nav2 manages 12."""
+MOST_MANAGED = 64
+"""Managed nodes in a list. A round figure, five times as many as Nav2 has."""
+MOST_STEPS = 2 * MOST_OF_GROUP
+MOST_CHANGES = 12
+"""In a list: a third of this side's, of other sides', and of those that have ended. A round figure."""
+GROUP_NAME = re.compile(r"[A-Za-z0-9_-]{1,63}")
+NODE_NAME = re.compile(r"/[A-Za-z0-9_/]{1,254}")
+
+Transition: TypeAlias = Literal["configure", "activate", "deactivate", "cleanup", "shutdown"]
+LifecycleAction: TypeAlias = Literal["up", "down", "configure", "activate", "deactivate", "cleanup", "shutdown"]
+Target: TypeAlias = Annotated[str, Meta(min_length=1, max_length=255, pattern=r"\A[A-Za-z0-9_/-]*\Z")]
+"""A node's full name, or a group's, which has no slash."""
+StateName: TypeAlias = Annotated[str, Meta(max_length=32, pattern=PRINTABLE)]
+TRANSITIONS: tuple[Transition, ...] = get_args(Transition)
+LIFECYCLE_ACTIONS: tuple[LifecycleAction, ...] = get_args(LifecycleAction)
+GOALS: dict[str, str] = {
+    "configure": "inactive", "activate": "active", "deactivate": "inactive", "cleanup": "unconfigured",
+    "shutdown": "finalized", "up": "active", "down": "unconfigured",
+}  # fmt: skip
+"""The state to which each action leads (design.ros2.org, managed nodes)."""
+
+
+class ManagedNode(msgspec.Struct, frozen=True, omit_defaults=True):
+    """A node with a lifecycle.
+
+    Attributes:
+        state: in ROS's words, or empty if it does not answer.
+        offers: transitions that it offers in this state.
+        allowed: whether the one who asks may ask for them.
+    """
+
+    name: Target
+    state: StateName = ""
+    offers: Annotated[tuple[Transition, ...], Meta(max_length=len(TRANSITIONS))] = ()
+    allowed: bool = False
+
+
+class ListedGroup(msgspec.Struct, frozen=True, omit_defaults=True):
+    """Nodes that are brought up in this order, and down in the reverse one."""
+
+    name: Target
+    nodes: Annotated[tuple[Target, ...], Meta(max_length=MOST_OF_GROUP)] = ()
+    allowed: bool = False
+
+
+class ChangeStep(msgspec.Struct, frozen=True, omit_defaults=True):
+    """One node's answer to one transition.
+
+    Attributes:
+        what: the transition.
+        state: afterwards, or empty if unknown.
+        reason: why it is not done, for an operator, or empty.
+        seconds: until the answer.
+    """
+
+    node: Target
+    what: Name
+    state: StateName = ""
+    reason: Reason = ""
+    seconds: Seconds = 0.0
+
+
+class ChangeOutcome(msgspec.Struct, frozen=True, omit_defaults=True):
+    """How a change goes, or has ended.
+
+    Attributes:
+        is_over: whether it has ended.
+        refused: whether nothing was asked of any node.
+        reason: why it is not done, for an operator, or empty.
+        seconds: since it began, or that it took.
+    """
+
+    is_over: bool = True
+    refused: bool = False
+    reason: Reason = ""
+    seconds: Seconds = 0.0
+    steps: Annotated[tuple[ChangeStep, ...], Meta(max_length=MOST_STEPS)] = ()
+
+    @property
+    def done(self) -> bool:
+        return self.is_over and not self.reason
+
+
+class NodeChange(msgspec.Struct, frozen=True, omit_defaults=True):
+    """A change that is under way, or one of the last that have ended."""
+
+    target: Target
+    action: LifecycleAction
+    outcome: ChangeOutcome = ChangeOutcome()
+
+
+class Managed(msgspec.Struct, frozen=True, omit_defaults=True):
+    """The managed nodes and groups of one side, and what is or was done with them, the newest last."""
+
+    nodes: Annotated[tuple[ManagedNode, ...], Meta(max_length=MOST_MANAGED)] = ()
+    groups: Annotated[tuple[ListedGroup, ...], Meta(max_length=MOST_GROUPS)] = ()
+    changes: Annotated[tuple[NodeChange, ...], Meta(max_length=MOST_CHANGES)] = ()
+
+    @property
+    def targets(self) -> tuple[ListedGroup | ManagedNode, ...]:
+        """All that can be changed."""
+        return *self.groups, *self.nodes
+
+
+class ChangeText(Wording):
+    """Changes in words."""
+
+    DONE = "{action}: done in {seconds:.1f} s"
+    NOTHING = "{action}: nothing to do"
+    UNDER_WAY = "{action} under way for {seconds:.0f} s"
+    NOT_DONE = "{action}: {reason}"
+    STEP = "{node}  {what}  {result}  {seconds:.1f} s"
+
+    @classmethod
+    def of(cls, action: str, outcome: ChangeOutcome) -> str:
+        """Return how a change goes or has ended."""
+        if not outcome.is_over:
+            return cls.UNDER_WAY(action=action, seconds=outcome.seconds)
+        if outcome.reason:
+            return cls.NOT_DONE(action=action, reason=outcome.reason)
+        return (cls.DONE if outcome.steps else cls.NOTHING)(action=action, seconds=outcome.seconds)
+
+    @classmethod
+    def of_step(cls, step: ChangeStep) -> str:
+        result = step.reason or step.state or "done"
+        return cls.STEP(node=step.node, what=step.what, result=result, seconds=step.seconds)

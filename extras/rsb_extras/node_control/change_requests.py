@@ -1,0 +1,48 @@
+"""What a console asks an engine about managed nodes: which there are, and a change of some."""
+
+from __future__ import annotations
+
+import msgspec
+
+from rsb_bridge.feature_api import Command, Effect, Name, Reason, Right
+from rsb_extras.node_control.change_records import ChangeOutcome, LifecycleAction, Managed
+
+TICKET_WITHIN = 10.0
+"""s in which the other side lists its nodes, whose states it finds for 2 s at most, or gives a ticket."""
+LONGEST = 600.0
+"""s that an operator waits at most; the change itself goes on. A round figure: Nav2 comes up within a minute."""
+ANSWERED_WITHIN = TICKET_WITHIN + LONGEST + 5.0
+"""s until an engine has answered a `ChangeNodes` for sure."""
+
+
+class ManagedSide(msgspec.Struct, frozen=True, omit_defaults=True):
+    """The managed nodes of one side.
+
+    Attributes:
+        link: the link to it, or empty for this side.
+        problem: why nothing is known of them, or empty.
+    """
+
+    link: Name = ""
+    managed: Managed = Managed()
+    problem: Reason = ""
+
+
+class ListManaged(Command[tuple[ManagedSide, ...]], frozen=True, tag="list_managed"):
+    """List managed nodes and groups of this side and of all links, or of one link; empty sides are left out."""
+
+    right = Right.LOOK
+    is_of_links = True
+    refreshes = False
+    cancellable = True
+    link: str = ""
+
+
+class ChangeNodes(Command[ChangeOutcome], frozen=True, tag="change_nodes"):
+    """Change the states of a node, or of a group's nodes in order, and wait for the end."""
+
+    always = Effect.MOVES | Effect.LOSES
+    refreshes = False
+    target: str
+    action: LifecycleAction
+    link: str = ""  # whose other side has it, or empty for this side

@@ -1,0 +1,141 @@
+"""The command ``lifecycle``: lists managed nodes and groups, and changes their states."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING
+
+from msgspec.structs import asdict
+
+from rsb_bridge.feature_api import EngineError, Wording
+from rsb_console.feature_console import (
+    FAILURE,
+    OK,
+    UsageError,
+    agreed,
+    attached,
+    done,
+    json_line,
+    print_error,
+    print_line,
+    result,
+)
+from rsb_extras.node_control.change_records import ChangeText
+from rsb_extras.node_control.change_requests import ANSWERED_WITHIN, ChangeNodes, ListManaged
+from rsb_extras.node_control.lifecycle_rows import HEADINGS, LifecycleText, outcomes, rows, side_of
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+    from collections.abc import Iterator, Sequence
+    from concurrent.futures import Future
+
+    from rsb_bridge.feature_api import RemoteEngine
+    from rsb_extras.node_control.change_records import ChangeOutcome, ChangeStep
+    from rsb_extras.node_control.change_requests import ManagedSide
+
+_LOOKED_EVERY = 1.0  # s between two looks at the steps of a change. A round figure
+
+
+class LifecycleUsage(Wording):
+    NAME_MISSING = "lifecycle {action}: name the node or the group"
+    UNKNOWN = "there is no managed node and no group {name}{problems}; there are: {known}"
+    SEVERAL = "{count} sides have {name}; choose one: {options}"
+
+
+def lifecycle(arguments: Namespace) -> int:
+    if arguments.action and arguments.target is None:
+        raise UsageError(LifecycleUsage.NAME_MISSING(action=arguments.action))
+    with attached(arguments) as engine:
+        sides = result(engine.do(ListManaged(arguments.link)))
+        if not arguments.action:
+            return _list(engine, arguments, sides)
+        return _change(engine, arguments, _chosen(arguments, sides))
+
+
+def _list(engine: RemoteEngine, arguments: Namespace, sides: Sequence[ManagedSide]) -> int:
+    role = engine.bridge.role
+    problems = [side for side in sides if side.problem]
+    if arguments.link and problems:
+        raise EngineError(problems[0].problem)
+    if arguments.json:
+        nodes = [{"link": side.link} | asdict(each) for side in sides for each in side.managed.nodes]
+        groups = [{"link": side.link} | asdict(each) for side in sides for each in side.managed.groups]
+        found = {side.link: side.problem for side in problems}
+        return done(arguments, nodes=nodes, groups=groups, problems=found)
+    for line in _lines(role, sides):
+        print_line(line)
+    for side in problems:
+        print_error(LifecycleText.PROBLEM(side=side_of(role, side.link), problem=side.problem))
+    return OK
+
+
+def _lines(role: str, sides: Sequence[ManagedSide]) -> Iterator[str]:
+    table = [row.cells for row in rows(role, sides)]
+    if not table:
+        yield LifecycleText.NONE()
+        return
+    table.insert(0, HEADINGS)
+    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+    for cells in table:
+        yield "  ".join(f"{cell:<{width}}" for cell, width in zip(cells, widths, strict=True)).rstrip()
+
+
+def _chosen(arguments: Namespace, sides: Sequence[ManagedSide]) -> str:
+    """Return the link whose other side has the node or the group, or an empty string for this side."""
+    asked = [side for side in sides if not (arguments.here and side.link)]
+    names = [(side.link, each.name) for side in asked for each in side.managed.targets]
+    found = [link for link, name in names if name == arguments.target]
+    if len(found) > 1:
+        options = "; ".join(f"--link {link}" if link else "--here" for link in found)
+        raise UsageError(LifecycleUsage.SEVERAL(count=len(found), name=arguments.target, options=options))
+    if not found:
+        known = ", ".join(sorted({name for _, name in names})) or "none"
+        problems = "".join(f" ({side.link}: {side.problem})" for side in asked if side.problem)
+        raise UsageError(LifecycleUsage.UNKNOWN(name=arguments.target, problems=problems, known=known))
+    return found[0]
+
+
+def _change(engine: RemoteEngine, arguments: Namespace, link: str) -> int:
+    target, action, side = arguments.target, arguments.action, side_of(engine.bridge.role, link)
+    question = LifecycleText.ASK(action=action.capitalize(), target=target, side=side)
+    if not (arguments.yes or agreed(question, ask=not arguments.json)):
+        return FAILURE
+    answer = engine.do(ChangeNodes(target, action, link))
+    if arguments.json:
+        outcome = answer.result(ANSWERED_WITHIN)
+        ok = outcome.done
+        found = asdict(outcome) | {"target": target, "link": link, "steps": [asdict(each) for each in outcome.steps]}
+        error = found.pop("reason")
+        del found["is_over"]
+        print_line(json_line({"ok": ok} | ({} if ok else {"error": error}) | found))
+        return OK if ok else FAILURE
+    outcome = _followed(engine, f"{link} {target}", answer)
+    text = LifecycleText.ENDED(target=target, side=side, text=ChangeText.of(action, outcome))
+    (print_line if outcome.done else print_error)(text)
+    return OK if outcome.done else FAILURE
+
+
+def _followed(engine: RemoteEngine, key: str, answer: Future[ChangeOutcome]) -> ChangeOutcome:
+    """Print the steps of a change as they come, and return its outcome."""
+    printed, until = 0, time.monotonic() + ANSWERED_WITHIN
+    while True:
+        try:
+            outcome = answer.result(_LOOKED_EVERY)
+        except TimeoutError:
+            if time.monotonic() > until:
+                raise
+        else:
+            _print(outcome.steps[printed:])
+            return outcome
+        try:
+            found = outcomes(result(engine.do(ListManaged(key.partition(" ")[0])))).get(key)
+        except EngineError:
+            continue  # the link is lost: the change goes on, and its answer comes over the next one
+        if found is not None and not found[1].is_over:
+            _print(found[1].steps[printed:])
+            printed = max(printed, len(found[1].steps))
+
+
+def _print(steps: Sequence[ChangeStep]) -> None:
+    for each in steps:
+        print_line(f"  {ChangeText.of_step(each)}")

@@ -1,0 +1,101 @@
+"""Managed nodes and groups in words, for the command and the screen."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING, NamedTuple
+
+from rsb_bridge.feature_api import Wording, other_side
+from rsb_extras.node_control.change_records import (
+    LIFECYCLE_ACTIONS,
+    ChangeOutcome,
+    LifecycleAction,
+    ListedGroup,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from rsb_extras.node_control.change_records import ManagedNode
+    from rsb_extras.node_control.change_requests import ManagedSide
+
+HEADINGS = "NAME", "SIDE", "STATE", "NOW POSSIBLE"
+NOTHING = "-"
+_OF_GROUPS: tuple[LifecycleAction, ...] = "up", "down"
+
+
+class LifecycleText(Wording):
+    NONE = "neither side has managed nodes, or lists groups in its session file"
+    ASK = "{action} {target} of {side}?"
+    ENDED = "{target} of {side}: {text}"
+    PROBLEM = "{side}: {problem}"
+    MAY_NOT = "no right"
+    NO_ANSWER = "no answer"
+
+
+class LifecycleRow(NamedTuple):
+    """A group, or a managed node, of one side.
+
+    Attributes:
+        link: the link to it, or empty for this side.
+        state: in words.
+        actions: those that are possible now.
+    """
+
+    link: str
+    side: str
+    name: str
+    state: str
+    allowed: bool
+    actions: tuple[LifecycleAction, ...]
+    nodes: tuple[str, ...] = ()
+
+    @property
+    def key(self) -> str:
+        return f"{self.link} {self.name}"
+
+    @property
+    def cells(self) -> tuple[str, ...]:
+        possible = " ".join(self.actions) or NOTHING
+        return self.name, self.side, self.state, possible if self.allowed else LifecycleText.MAY_NOT()
+
+
+def side_of(role: str, link: str) -> str:
+    """Return a side in words: this one if the link is empty."""
+    return other_side(role, link) if link else "this side"
+
+
+def rows(role: str, sides: Sequence[ManagedSide]) -> Iterator[LifecycleRow]:
+    """Yield the groups of each side, and its managed nodes."""
+    for side in sides:
+        managed, name = side.managed, side_of(role, side.link)
+        known = {node.name: node for node in managed.nodes}
+        under_way = {each.target: each for each in managed.changes if not each.outcome.is_over}
+        for each in managed.targets:
+            nodes: tuple[str, ...] = ()
+            if isinstance(each, ListedGroup):
+                state, actions, nodes = _group_state(each, known), _OF_GROUPS, each.nodes
+            else:
+                state, actions = each.state or LifecycleText.NO_ANSWER(), _possible(each.offers)
+            if each.name in under_way:
+                state = f"{under_way[each.name].action} under way"
+            yield LifecycleRow(side.link, name, each.name, state, each.allowed, actions, nodes)
+
+
+def _possible(offers: Sequence[str]) -> tuple[LifecycleAction, ...]:
+    return tuple(each for each in LIFECYCLE_ACTIONS if each in offers)
+
+
+def _group_state(group: ListedGroup, known: dict[str, ManagedNode]) -> str:
+    """Return how many of a group's nodes are in each state: ``2 active, 1 inactive``."""
+    states = Counter(
+        known[name].state or LifecycleText.NO_ANSWER() if name in known else "missing" for name in group.nodes
+    )
+    return ", ".join(f"{count} {state}" for state, count in states.items())
+
+
+def outcomes(sides: Sequence[ManagedSide]) -> dict[str, tuple[LifecycleAction, ChangeOutcome]]:
+    """Return the newest change of each target, by the key of its row."""
+    return {
+        f"{side.link} {each.target}": (each.action, each.outcome) for side in sides for each in side.managed.changes
+    }

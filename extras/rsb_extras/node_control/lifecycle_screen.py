@@ -1,0 +1,235 @@
+"""Managed nodes and groups of both sides on a screen, with a key for each change, and the steps of the last one."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING, ClassVar
+
+from rich.cells import cell_len
+from textual.binding import Binding
+from textual.screen import ModalScreen
+
+from rsb_bridge.feature_api import Effect, EngineError, Wording
+from rsb_console.feature_console import (
+    DIALOG,
+    DONE,
+    FAILED,
+    ConfirmScreen,
+    Dialog,
+    FixedLines,
+    ScrolledLines,
+    SelectableList,
+    fit,
+)
+from rsb_extras.node_control.change_records import GOALS, ChangeText
+from rsb_extras.node_control.change_requests import ChangeNodes, ListManaged
+from rsb_extras.node_control.lifecycle_rows import HEADINGS, LifecycleRow, LifecycleText, outcomes, rows, side_of
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from textual.app import ComposeResult
+
+    from rsb_bridge.feature_api import EngineApi
+    from rsb_console.feature_console import Console, Line, MainScreen
+    from rsb_extras.node_control.change_records import ChangeOutcome, LifecycleAction
+    from rsb_extras.node_control.change_requests import ManagedSide
+
+_RENEWED_EVERY = 1.0  # s; the bridges look at the nodes as often
+_MOST_LINKS = 8
+"""Links of a server that are asked each time; with more, only that of the topic under the cursor. A round figure."""
+_LOOKS = {"active": "ok", "inactive": "waiting", "unconfigured": "waiting", "finalized": "down"}
+HELP = "u up   w down   c configure   a activate   d deactivate   n clean up   S shut down"
+_KEYS: dict[str, LifecycleAction] = {
+    "u": "up", "w": "down", "c": "configure", "a": "activate", "d": "deactivate", "n": "cleanup", "S": "shutdown",
+}  # fmt: skip
+
+
+class LifecycleScreenText(Wording):
+    ASKING = "asking both sides"
+    NO_SESSION = "no session runs"
+    READ_ONLY = "this console is read-only"
+    NOT_OFFERED = "{name} is {state}: it offers {offers} now"
+    RISES = "{nodes}: they become {goal}, and may move what they drive. Nobody may be in its way."
+    FALLS = "{nodes}: they become {goal}. What they move has to be safe without them."
+    WAIT = "{name}: {action} is under way: wait until that is over"
+
+
+class LifecycleTable(SelectableList):
+    sticky = 1
+
+    def __init__(self) -> None:
+        super().__init__(id="lifecycle")
+        self._rows: dict[str, LifecycleRow] = {}
+        self._widths: list[int] = [*map(len, HEADINGS)]
+
+    def show(self, shown: Sequence[LifecycleRow]) -> None:
+        self._rows = {row.key: row for row in shown}
+        columns = zip(HEADINGS, *(row.cells for row in shown), strict=True)
+        *widths, _ = (max(map(cell_len, column)) for column in columns)
+        self._widths = [*widths, 0]  # nothing follows the last one
+        self.show_keys(list(self._rows))
+
+    @property
+    def selected(self) -> LifecycleRow | None:
+        return None if self.cursor_key is None else self._rows.get(self.cursor_key)
+
+    def line(self, index: int) -> Line:
+        if index < self.sticky:
+            return fit(((" ", ""), *self._cells(HEADINGS, ("head",) * len(HEADINGS))), self.width)
+        row = self._rows[self.keys[index - self.sticky]]
+        looks = "strong" if row.nodes else "", "", _LOOKS.get(row.state, ""), "dim"
+        mark = ("▌" if self.is_cursor(index) else " ", "key")
+        return fit((mark, *self._cells(row.cells, looks)), self.width)
+
+    def _cells(self, texts: Sequence[str], looks: Sequence[str]) -> Iterator[tuple[str, str]]:
+        for text, look, width in zip(texts, looks, self._widths, strict=True):
+            yield f"{text:<{width}}  ", look
+
+
+class LifecycleScreen(ModalScreen[None]):
+    """Managed nodes and groups of this side and of its links, and how the last change of each has gone.
+
+    Args:
+        link: whose other side is asked, or empty for all.
+        node: on which the cursor is to be, or empty.
+    """
+
+    BINDINGS: ClassVar = [
+        Binding("escape,q", "dismiss", show=False),
+        *(Binding(key, f"change({action!r})", show=False) for key, action in _KEYS.items()),
+    ]
+    AUTO_FOCUS = "#lifecycle"
+    DEFAULT_CSS = """
+    #lifecycle-problems { height: auto; background: $surface; }
+    #lifecycle { height: 2fr; margin: 1 0; background: $surface; }
+    #lifecycle-steps { height: 1fr; background: $surface; }
+    """
+
+    def __init__(self, console: Console, link: str, node: str = "") -> None:
+        super().__init__()
+        self.console = console
+        self._link, self._wanted = link, node and f"{link} {node}"
+        self._sides: Sequence[ManagedSide] = ()
+        self.table, self.problems = LifecycleTable(), FixedLines(id="lifecycle-problems")
+        self.steps = ScrolledLines(id="lifecycle-steps")
+
+    def compose(self) -> ComposeResult:
+        yield Dialog("Lifecycle", self.problems, self.table, self.steps, keys=HELP, shape="-high")
+
+    def on_mount(self) -> None:
+        self.problems.put([((LifecycleScreenText.ASKING(), "dim"),)])
+        self.set_interval(_RENEWED_EVERY, self.renew)
+        self._fetching = self.run_worker(self._fetch(), group="lifecycle")
+
+    def renew(self) -> None:
+        """Ask again, unless an answer is still due, perhaps over a thin line."""
+        if self._fetching.is_finished:
+            self._fetching = self.run_worker(self._fetch(), group="lifecycle")
+
+    async def _fetch(self) -> None:
+        engine = self.console.engine
+        if engine is None:
+            self.problems.put([((LifecycleScreenText.NO_SESSION(), "down"),)])
+            return
+        try:
+            sides = await asyncio.wrap_future(engine.do(ListManaged(self._link)))
+        except EngineError as error:
+            self.problems.put([((str(error), "down"),)])
+        else:
+            self.show(sides)
+
+    def show(self, sides: Sequence[ManagedSide]) -> None:
+        role, self._sides = self.console.snapshot().role, sides
+        self.table.show(list(rows(role, sides)))
+        if self._wanted in self.table.keys:
+            self.table.move_to(self.table.keys.index(self._wanted))
+            self._wanted = ""
+        problems = [
+            ((LifecycleText.PROBLEM(side=side_of(role, side.link), problem=side.problem), "down"),)
+            for side in sides
+            if side.problem
+        ]
+        if not problems and self.table.selected is None:
+            problems = [((LifecycleText.NONE(), "dim"),)]
+        self.problems.put(problems)
+        self.show_steps()
+
+    def show_steps(self) -> None:
+        row = self.table.selected
+        last = None if row is None else outcomes(self._sides).get(row.key)
+        self.steps.show([] if row is None or last is None else _lines(row, *last))
+
+    def on_selectable_list_cursor_moved(self) -> None:
+        self.show_steps()
+
+    def action_change(self, action: LifecycleAction) -> None:
+        row = self.table.selected
+        if row is None or not self.table.is_seen():
+            return
+        last = outcomes(self._sides).get(row.key)
+        if self.console.readonly:
+            self._warn(LifecycleScreenText.READ_ONLY())
+        elif last is not None and not last[1].is_over:
+            self._warn(LifecycleScreenText.WAIT(name=row.name, action=last[0]))
+        elif not row.nodes and action not in ("up", "down", *row.actions):
+            offers = ", ".join(row.actions) or "nothing"
+            self._warn(LifecycleScreenText.NOT_OFFERED(name=row.name, state=row.state, offers=offers))
+        else:
+            self.run_worker(self._ask(row, action), group=DIALOG)
+
+    async def _ask(self, row: LifecycleRow, action: LifecycleAction) -> None:
+        title = LifecycleText.ASK(action=action.capitalize(), target=row.name, side=row.side)
+        text = LifecycleScreenText.RISES if action in ("up", "configure", "activate") else LifecycleScreenText.FALLS
+        means = text(nodes=", ".join(row.nodes) or row.name, goal=GOALS[action])
+        question = ConfirmScreen(title, means, action.capitalize(), Effect.MOVES | Effect.LOSES)
+        if await self.console.ask(question) is True and (engine := self.console.engine) is not None:
+            # Not in this worker, for which keys wait, nor of this screen, which may be closed before the end.
+            self.app.run_worker(_change(self, engine, row, action), group="node-changes")
+
+    def _warn(self, text: str) -> None:
+        self.console.notify(text, severity="warning", markup=False, timeout=8)
+
+
+async def _change(screen: LifecycleScreen, engine: EngineApi, row: LifecycleRow, action: LifecycleAction) -> None:
+    """Wait for the end of a change. Its steps stand below the list; without that, a message says how it has ended."""
+    try:
+        outcome = await asyncio.wrap_future(engine.do(ChangeNodes(row.name, action, row.link)))
+    except EngineError as error:
+        text, is_done, is_shown = str(error), False, False
+    else:
+        text, is_done = _ended(row, ChangeText.of(action, outcome)), outcome.done
+        is_shown = screen.is_attached and not outcome.refused
+    if screen.is_attached:
+        screen.renew()
+    if not is_shown:
+        severity = "information" if is_done else "warning"
+        screen.console.notify(text, severity=severity, markup=False, timeout=8)  # type: ignore[arg-type]  # one of them
+
+
+def _ended(row: LifecycleRow, text: str) -> str:
+    return LifecycleText.ENDED(target=row.name, side=row.side, text=text)
+
+
+def _lines(row: LifecycleRow, action: LifecycleAction, outcome: ChangeOutcome) -> Iterator[Line]:
+    text = _ended(row, ChangeText.of(action, outcome))
+    if not outcome.is_over:
+        yield ((text, "waiting"),)
+    else:
+        sign, look = (DONE, "ok") if outcome.done else (FAILED, "down")
+        yield ((f"{sign} {text}", look),)
+    for step in outcome.steps:
+        sign, look = (FAILED, "down") if step.reason else (DONE, "ok")
+        yield ((f"  {sign} ", look), (ChangeText.of_step(step), ""))
+
+
+async def show_lifecycle(screen: MainScreen) -> None:
+    """Show managed nodes and groups; on a server of many links, those of the topic's robot."""
+    console, row = screen.console, screen.topics.selected
+    many = len(console.snapshot().links) > _MOST_LINKS
+    await console.ask(LifecycleScreen(console, row.link if many and row is not None else ""))
+
+
+async def lifecycle_of_node(console: Console, link: str, node: str) -> None:
+    """Show those of a node's side, with the cursor on it."""
+    await console.ask(LifecycleScreen(console, link, node))

@@ -1,0 +1,225 @@
+"""Changes of nodes over one link: what its peer may see and ask for here, and what operators ask for there.
+
+A change needs a ticket, which is asked for just before, counts for some seconds, and stands for one change: asked again
+by the same ticket, on the next connection, a side answers with how that change goes or has ended.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from functools import partial
+from typing import TYPE_CHECKING, NamedTuple
+
+from rsb_bridge.feature_api import (
+    TEXT_LENGTH,
+    ControlMessageBase,
+    Count,
+    Extension,
+    LinkError,
+    Name,
+    Questions,
+    Wording,
+    operator,
+    sanitize_text,
+)
+from rsb_extras.node_control.change_records import ChangeOutcome, LifecycleAction, Managed, Target
+from rsb_extras.node_control.change_requests import LONGEST, TICKET_WITHIN
+from rsb_extras.node_control.node_changer import ChangeAsker, NodeChanger
+
+if TYPE_CHECKING:
+    from rsb_bridge.feature_api import Link
+
+TICKET_LIFE = 5.0
+"""s that a ticket counts. A round figure: a link that takes longer for two messages is too slow for such requests."""
+_MOST_TICKETS = 4
+"""Tickets that a peer may have at a time: one for each operator who asks just now."""
+_REMEMBERED = 8
+"""Changes of a peer whose ends are remembered for its next connection."""
+
+
+class AskManaged(ControlMessageBase, frozen=True, omit_defaults=True):
+    """Asks for the other side's managed nodes, or for a ticket. Answered by a `ManagedAnswer` of the same number.
+
+    Attributes:
+        ticket: whether a ticket is asked for, and no nodes.
+    """
+
+    request: Count
+    ticket: bool = False
+
+
+class ManagedAnswer(ControlMessageBase, frozen=True, omit_defaults=True):
+    """A side's managed nodes, or a ticket.
+
+    Attributes:
+        ticket: for one change, or 0.
+    """
+
+    request: Count
+    ticket: Count = 0
+    managed: Managed = Managed()
+
+
+class RunChange(ControlMessageBase, frozen=True, omit_defaults=True):
+    """Asks for a change. Answered by a `ChangeEnded` of the same ticket, once it has ended or if it is refused.
+
+    Attributes:
+        who: the operator, as the asking side says.
+        again: whether it was asked for on another connection already.
+    """
+
+    ticket: Count
+    target: Target
+    action: LifecycleAction
+    who: Name = ""
+    again: bool = False
+
+
+class ChangeEnded(ControlMessageBase, frozen=True):
+    """The end of a change, or why it was refused."""
+
+    ticket: Count
+    outcome: ChangeOutcome
+
+
+class LinkChangesProblem(Wording):
+    NOT_LINKED = "{link} is not linked: {reason}"
+    NOT_THERE = "the installation of {link} has no node_control: install all of rsb-console there"
+    SILENT = "{link} did not answer: look at the nodes' states before you ask again"
+    TOO_LATE = "the request came too late, and nothing was done: ask again"
+    FORGOTTEN = "the bridge there knows nothing of it any more: look at the nodes' states before you ask again"
+
+
+class _Ticket(NamedTuple):
+    """A ticket that has begun nothing yet.
+
+    Attributes:
+        until: time (s) of `Context.now`.
+        association: in which it counts. One of a peer that has not told of this feature is not told by `connected`.
+    """
+
+    until: float
+    association: object
+
+
+class _Waiting(NamedTuple):
+    """A change that this side has asked for."""
+
+    request: RunChange
+    outcome: asyncio.Future[ChangeOutcome]
+
+
+class LinkChanges(Extension):
+    """One link's changes of nodes, in both directions."""
+
+    def __init__(self, link: Link) -> None:
+        self.messages = {
+            AskManaged: self._asked,
+            ManagedAnswer: self._answered,
+            RunChange: self._run_asked,
+            ChangeEnded: self._ended,
+        }
+        self._link = link
+        self._changer = link.context.shared(NodeChanger)
+        self._changer.links.add(link)
+        self._questions: Questions[ManagedAnswer] = Questions(link, TICKET_WITHIN)
+        self._request = 0
+        self._peer_has = False
+        self._last_ticket = link.context.wall_ns() >> 16
+        """No bridge that ran before under this name has given those that follow."""
+        self._given: dict[int, _Ticket] = {}
+        self._runs: dict[int, asyncio.Task[ChangeOutcome]] = {}
+        self._reporting: set[int] = set()
+        """Tickets of changes whose ends this connection's peer waits for."""
+        self._waits: dict[int, _Waiting] = {}
+
+    def connected(self) -> None:
+        self._peer_has = True
+        for request, _ in self._waits.values():
+            self._link.send(RunChange(request.ticket, request.target, request.action, request.who, again=True))
+
+    def disconnected(self) -> None:
+        self._questions.disconnected()
+        self._reporting.clear()
+        self._peer_has = False
+
+    # --- for the peer
+
+    def _asked(self, ask: AskManaged) -> None:
+        self._questions.answer(ask.request, partial(self._answer, ask))
+
+    async def _answer(self, ask: AskManaged) -> ManagedAnswer:
+        if not ask.ticket:
+            return ManagedAnswer(ask.request, managed=await self._changer.managed(ChangeAsker("", self._link)))
+        self._last_ticket += 1
+        self._given[self._last_ticket] = _Ticket(self._link.context.now() + TICKET_LIFE, self._link.association)
+        if len(self._given) > _MOST_TICKETS:
+            del self._given[min(self._given)]
+        return ManagedAnswer(ask.request, self._last_ticket)
+
+    def _run_asked(self, ask: RunChange) -> None:
+        if ask.ticket not in self._runs:
+            until, association = self._given.pop(ask.ticket, _Ticket(0.0, None))
+            if association is not self._link.association or self._link.context.now() >= until:
+                reason = (LinkChangesProblem.FORGOTTEN if ask.again else LinkChangesProblem.TOO_LATE)()
+                self._link.send(ChangeEnded(ask.ticket, ChangeOutcome(refused=True, reason=reason)))
+                return
+            self._begin(ask)
+        if ask.ticket not in self._reporting:
+            self._reporting.add(ask.ticket)
+            self._link.spawn(self._report(ask.ticket))
+
+    def _begin(self, ask: RunChange) -> None:
+        asker = ChangeAsker(f"{self._link.peer_name}, which says: {ask.who or 'an operator'}", self._link)
+        run = self._changer.run(ask.target, ask.action, asker)
+        self._runs[ask.ticket] = self._link.context.loop.create_task(run)
+        over = [ticket for ticket, each in self._runs.items() if each.done()]
+        for ticket in over[:-_REMEMBERED]:
+            del self._runs[ticket]
+
+    async def _report(self, ticket: int) -> None:
+        association = self._link.association
+        outcome = await asyncio.shield(self._runs[ticket])
+        self._reporting.discard(ticket)
+        if self._link.association is association:  # another one asks again
+            self._link.send(ChangeEnded(ticket, outcome))
+
+    # --- for this side's operators
+
+    async def managed(self) -> Managed:
+        """Return the peer's managed nodes.
+
+        Raises:
+            LinkError: the link is down, or the peer has no such feature or does not answer.
+        """
+        return (await self._ask(ticket=False)).managed
+
+    async def run(self, target: str, action: LifecycleAction) -> ChangeOutcome:
+        """Have the peer carry out a change, over any number of connections; raises as `managed`."""
+        ticket = (await self._ask(ticket=True)).ticket
+        request = RunChange(ticket, target, action, sanitize_text(operator(), TEXT_LENGTH))
+        waiting = self._waits[ticket] = _Waiting(request, self._link.context.loop.create_future())
+        try:
+            self._link.send(request)
+            async with asyncio.timeout(LONGEST):
+                return await waiting.outcome
+        except TimeoutError:
+            raise LinkError(LinkChangesProblem.SILENT(link=self._link.name)) from None
+        finally:
+            del self._waits[ticket]
+
+    async def _ask(self, *, ticket: bool) -> ManagedAnswer:
+        if not self._link.linked:
+            raise LinkError(LinkChangesProblem.NOT_LINKED(link=self._link.name, reason=self._link.down_reason))
+        if not self._peer_has:
+            raise LinkError(LinkChangesProblem.NOT_THERE(link=self._link.name))
+        self._request += 1
+        return await self._questions.ask(self._request, AskManaged(self._request, ticket))
+
+    def _answered(self, answer: ManagedAnswer) -> None:
+        self._questions.answered(answer.request, answer)
+
+    def _ended(self, ended: ChangeEnded) -> None:
+        waiting = self._waits.get(ended.ticket)
+        if waiting is not None and not waiting.outcome.done():
+            waiting.outcome.set_result(ended.outcome)

@@ -1,0 +1,266 @@
+"""Changes this side's nodes, one change at a time of each, for its operators and for other sides."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import TYPE_CHECKING, NamedTuple
+from weakref import WeakSet
+
+import msgspec
+
+from rsb_bridge.feature_api import Level, Wording, armed_of_nodes, sanitize_text
+from rsb_extras.node_control import GROUPS, MAY_CHANGE
+from rsb_extras.node_control.change_records import (
+    MOST_CHANGES,
+    MOST_GROUPS,
+    ChangeOutcome,
+    ChangeStep,
+    ChangeText,
+    ListedGroup,
+    Managed,
+    ManagedNode,
+    NodeChange,
+)
+from rsb_extras.node_control.lifecycle_nodes import managed_names, managed_node, phases, transit
+from rsb_extras.node_control.node_services import NodeServices
+from rsb_extras.nodes import SHOW_NODES
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from rsb_bridge.feature_api import Context, Link
+    from rsb_extras.node_control.change_records import LifecycleAction
+
+STARTS, STARTS_WITHIN = 12, 60.0
+"""The most changes by the other sides together in so many s, and as many by this side's operators. A round figure."""
+_AT_ONCE = MOST_CHANGES // 3
+"""Changes under way of the other sides, and of this one; as many that have ended are remembered."""
+_LOOKED_EVERY = 1.0
+"""s between two looks at all nodes, however many ask. A round figure."""
+
+
+class ChangeCode(StrEnum):
+    """Codes of the events that changes log; they stay as they are, for programs that read the log."""
+
+    BEGAN = "node_control.began"
+    ENDED = "node_control.ended"
+    FAILED = "node_control.failed"
+    REFUSED = "node_control.refused"
+
+
+class ChangeProblem(Wording):
+    """The reason why a change is refused or not done."""
+
+    NO_GROUP = "the session of {owner} lists no group {name}: see rsb-console lifecycle"
+    NOT_ALLOWED = "{owner} does not let {peer} change {node}: add may: {{nodes: [{name}]}} {where}"
+    BUSY = "{node} is being changed already: wait until that is over"
+    FULL = "{count} changes are under way there: wait until one is over"
+    TOO_OFTEN = "nodes were changed {most} times within {seconds:g} s: wait"
+    ARMED = "{what} is armed, and one of the nodes takes it: disarm it first, or ask an operator of that side"
+    STOPS = "the bridge stops: look at the nodes' states"
+    ENDED = "an operator of its side ended it, for another change: look at the nodes' states"
+
+
+class ChangeAsker(NamedTuple):
+    """The one who asks for a change.
+
+    Attributes:
+        who: an operator, in words; one of the other side is that side's claim.
+        link: from which it comes, or None if it is an operator of this side.
+    """
+
+    who: str
+    link: Link | None = None
+
+
+@dataclass(slots=True, eq=False)
+class _Doing:
+    """A change that is under way.
+
+    Attributes:
+        work: asks the nodes; cancelled, it ends the change.
+        outcome: of the change, as soon as its task is made.
+    """
+
+    target: str
+    action: LifecycleAction
+    nodes: tuple[str, ...]
+    asker: ChangeAsker
+    began: float
+    work: asyncio.Task[str]
+    steps: list[ChangeStep] = field(default_factory=list)
+    outcome: asyncio.Task[ChangeOutcome] | None = None
+
+
+class NodeChanger:
+    """Lists this side's managed nodes and groups, and changes them.
+
+    Attributes:
+        links: of the engine; what is armed on any of them counts.
+        services: of the nodes.
+    """
+
+    def __init__(self, context: Context) -> None:
+        self.links: WeakSet[Link] = WeakSet()
+        self.services = NodeServices(context)
+        self._context = context
+        self._doing: list[_Doing] = []
+        self._ended: deque[NodeChange] = deque(maxlen=_AT_ONCE)
+        self._starts: dict[bool, deque[float]] = {is_own: deque(maxlen=STARTS) for is_own in (False, True)}
+        self._found: tuple[ManagedNode, ...] = ()
+        self._looking: asyncio.Task[None] | None = None
+        self._looked_at = float("-inf")
+        self._stops = False
+
+    @property
+    def _groups(self) -> dict[str, tuple[str, ...]]:
+        return GROUPS.of(self._context.session)
+
+    # --- what there is
+
+    async def managed(self, asker: ChangeAsker) -> Managed:
+        """Return the managed nodes with their states, the groups, and the last changes, as far as one may see them."""
+        is_looking = self._looking is not None and not self._looking.done()
+        if not is_looking and self._context.now() - self._looked_at >= _LOOKED_EVERY:
+            self._looking = self._context.loop.create_task(self._look())
+        if self._looking is not None:
+            await asyncio.shield(self._looking)
+        nodes = (msgspec.structs.replace(each, allowed=self._may(asker, each.name)) for each in self._found)
+        groups = (
+            ListedGroup(name, of_group, all(self._may(asker, each) for each in of_group))
+            for name, of_group in tuple(self._groups.items())[:MOST_GROUPS]
+        )
+        shows = asker.link is None or SHOW_NODES.of(asker.link.end.rights)
+        running = (NodeChange(each.target, each.action, self._progress(each)) for each in self._doing)
+        changes = (*self._ended, *running)
+        return Managed(
+            tuple(each for each in nodes if shows or each.allowed),
+            tuple(each for each in groups if shows or each.allowed),
+            tuple(
+                each for each in changes if shows or all(self._may(asker, node) for node in self._nodes(each.target))
+            ),
+        )
+
+    async def _look(self) -> None:
+        names = await managed_names(self._context)
+        self._found = tuple(await asyncio.gather(*(managed_node(self.services, each) for each in names)))
+        self._looked_at = self._context.now()
+
+    def _progress(self, doing: _Doing) -> ChangeOutcome:
+        return ChangeOutcome(is_over=False, seconds=self._context.now() - doing.began, steps=tuple(doing.steps))
+
+    # --- changes
+
+    async def run(self, target: str, action: LifecycleAction, asker: ChangeAsker) -> ChangeOutcome:
+        """Carry out a change, or refuse it. It goes on if nobody waits for it any more.
+
+        An operator of this side does not wait for a peer's change, but ends it.
+        """
+        nodes = self._nodes(target)
+        while not (refusal := self._refusal(target, nodes, asker)) and (others := self._overlapping(nodes)):
+            for each in others:
+                each.work.cancel()
+            await asyncio.wait([each.outcome for each in others if each.outcome is not None])
+        if refusal:
+            self._log(Level.WARNING, ChangeCode.REFUSED, f"{target}: {action} refused: {refusal}", asker)
+            return ChangeOutcome(refused=True, reason=sanitize_text(refusal))
+        self._starts[asker.link is None].append(self._context.now())
+        self._log(Level.INFO, ChangeCode.BEGAN, f"{target}: {action}", asker)
+        steps: list[ChangeStep] = []
+        work = self._context.loop.create_task(self._work(nodes, action, steps))
+        doing = _Doing(target, action, nodes, asker, self._context.now(), work, steps)
+        self._doing.append(doing)
+        doing.outcome = self._context.loop.create_task(self._carry_out(doing))
+        return await asyncio.shield(doing.outcome)
+
+    def _nodes(self, target: str) -> tuple[str, ...]:
+        return (target,) if "/" in target else self._groups.get(target, ())
+
+    def _may(self, asker: ChangeAsker, node: str) -> bool:
+        if asker.link is None:
+            return True
+        given = MAY_CHANGE.of(asker.link.end.rights)
+        return any(node == each or node in self._groups.get(each, ()) for each in given)
+
+    def _overlapping(self, nodes: Sequence[str]) -> list[_Doing]:
+        return [each for each in self._doing if not {*each.nodes}.isdisjoint(nodes)]
+
+    def _refusal(self, target: str, nodes: Sequence[str], asker: ChangeAsker) -> str:
+        now, is_own = self._context.now(), asker.link is None
+        if refusal := self._lacks_right(target, nodes, asker):
+            return refusal
+        if not nodes:
+            return ChangeProblem.NO_GROUP(owner=self._context.session.name, name=target)
+        if self._stops:
+            return ChangeProblem.STOPS()
+        others = self._overlapping(nodes)
+        if lasting := [each for each in others if not is_own or each.asker.link is None]:
+            busy = next(each for each in nodes if each in lasting[0].nodes)
+            return ChangeProblem.BUSY(node=busy)
+        if sum(is_own == (each.asker.link is None) for each in self._doing) >= _AT_ONCE:
+            return ChangeProblem.FULL(count=_AT_ONCE)
+        if sum(now - each < STARTS_WITHIN for each in self._starts[is_own]) >= STARTS:
+            return ChangeProblem.TOO_OFTEN(most=STARTS, seconds=STARTS_WITHIN)
+        # The robot's own operator knows what is driven there.
+        what = "" if asker.link is None else armed_of_nodes(self.links, nodes, self._context.ros, asker.link)
+        return ChangeProblem.ARMED(what=what) if what else ""
+
+    def _lacks_right(self, target: str, nodes: Sequence[str], asker: ChangeAsker) -> str:
+        if asker.link is None:
+            return ""
+        # A group that is not listed is refused as one that may not be asked for: a peer learns nothing by asking.
+        lacking = next((each for each in nodes if not self._may(asker, each)), "" if nodes else target)
+        if not lacking:
+            return ""
+        rights = asker.link.end.rights
+        where = f"to {rights.place.removeprefix('of ')}" if rights.place.startswith("of ") else rights.place
+        names = {"owner": rights.owner, "peer": rights.peer, "node": lacking, "name": target, "where": where}
+        return ChangeProblem.NOT_ALLOWED(**names)
+
+    async def _work(self, nodes: Sequence[str], action: LifecycleAction, steps: list[ChangeStep]) -> str:
+        """Have nodes take the transitions of an action, up to the first that is not done, and return why it is not."""
+        for transition, in_order in phases(action, nodes):
+            for node in in_order:
+                step = await transit(self._context, self.services, node, transition)
+                if step is None:
+                    continue
+                steps.append(msgspec.structs.replace(step, reason=sanitize_text(step.reason)))
+                if step.reason:
+                    return step.reason
+        return ""
+
+    async def _carry_out(self, doing: _Doing) -> ChangeOutcome:
+        await asyncio.wait((doing.work,))
+        if doing.work.cancelled():
+            reason = (ChangeProblem.STOPS if self._stops else ChangeProblem.ENDED)()
+        elif (error := doing.work.exception()) is not None:
+            reason = f"{type(error).__name__}: {error}"
+        else:
+            reason = doing.work.result()
+        seconds = self._context.now() - doing.began
+        outcome = ChangeOutcome(reason=sanitize_text(reason), seconds=seconds, steps=tuple(doing.steps))
+        self._doing.remove(doing)
+        self._ended.append(NodeChange(doing.target, doing.action, outcome))
+        self._looked_at = float("-inf")  # what has been found before is old
+        level, code = (Level.INFO, ChangeCode.ENDED) if outcome.done else (Level.WARNING, ChangeCode.FAILED)
+        self._log(level, code, f"{doing.target}: {ChangeText.of(doing.action, outcome)}", doing.asker)
+        return outcome
+
+    def _log(self, level: Level, code: ChangeCode, text: str, asker: ChangeAsker) -> None:
+        link = "" if asker.link is None else asker.link.name
+        is_own = asker.link is None
+        self._context.log(level, code, f"{text}, by {asker.who}", link=link, who=asker.who, from_peer=not is_own)
+
+    async def close(self) -> None:
+        """End what is under way: no node is asked any more."""
+        self._stops = True
+        for each in self._doing:
+            each.work.cancel()
+        if self._looking is not None:
+            self._looking.cancel()
+        if ending := [each.outcome for each in self._doing if each.outcome is not None]:
+            await asyncio.wait(ending)
+        self.services.close()

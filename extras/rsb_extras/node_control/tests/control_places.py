@@ -1,0 +1,7 @@
+"""Names of node control that tests read or replace (`tests.support.places`)."""
+
+from __future__ import annotations
+
+from tests.support.places import Place
+
+TICKET_LIFE = Place("rsb_extras.node_control.link_changes", "TICKET_LIFE")

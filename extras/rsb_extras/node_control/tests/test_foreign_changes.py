@@ -1,0 +1,147 @@
+"""A peer that holds the key and tries to change other nodes, or more, or at another time: nothing happens."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import pytest
+from tests.link.foreign_proposals_helpers import rogue
+from tests.support.bridge import happened
+from tests.support.waiting import eventually
+from tests.wire.document_helpers import documented_fields
+
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.snapshot import State
+from rsb_bridge.wire.protocol_error import Broken
+from rsb_extras import node_control
+from rsb_extras.node_control.change_records import (
+    ChangeOutcome,
+    ChangeStep,
+    ListedGroup,
+    Managed,
+    ManagedNode,
+    NodeChange,
+)
+from rsb_extras.node_control.link_changes import AskManaged, ChangeEnded, ManagedAnswer, RunChange
+from rsb_extras.node_control.node_changer import STARTS, ChangeCode
+from rsb_extras.node_control.tests.control_places import TICKET_LIFE
+from rsb_extras.node_control.tests.managed_nodes import ManagedNodes, has
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from tests.support.bridge import Bridge
+    from tests.support.domain import Domain
+    from tests.support.rogue import Rogue
+
+    from rsb_bridge.engine import Engine
+
+
+@pytest.fixture
+def nodes(pc: Domain) -> Iterator[ManagedNodes]:
+    with closing(ManagedNodes(pc.id, "planner", "lidar")) as made:
+        yield made
+
+
+def start(bridge: Bridge) -> Engine:
+    return bridge.server(features=has("nav", nav=("/planner",), all=("/planner", "/lidar")))
+
+
+def ticket(peer: Rogue, request: int = 1) -> int:
+    peer.say(AskManaged(request, ticket=True))
+    return peer.wait_for(ManagedAnswer).ticket
+
+
+def outcome(peer: Rogue, target: str, action: Any = "configure", number: int | None = None) -> ChangeOutcome:
+    """Return the answer to a request with a number, or with a new ticket."""
+    peer.say(RunChange(ticket(peer) if number is None else number, target, action, "anna"))
+    return peer.wait_for(ChangeEnded).outcome
+
+
+def test_the_page_documents_each_field() -> None:
+    page = Path(node_control.__file__).with_name("docs") / "node-control-protocol.md"
+    kinds = (
+        AskManaged, ManagedAnswer, RunChange, ChangeEnded, Managed, ManagedNode, ListedGroup, NodeChange, ChangeOutcome,
+        ChangeStep,
+    )  # fmt: skip
+    assert documented_fields(page.read_text(encoding="utf-8")) == {
+        each.__name__: {field.name for field in msgspec.structs.fields(each)} for each in kinds
+    }
+
+
+def test_what_it_may_not_change_is_refused(bridge: Bridge, nodes: ManagedNodes) -> None:
+    server = start(bridge)
+    with rogue(bridge) as peer:
+        for target in ("/lidar", "all", "none", "/", "//planner", "planner", "NAV", "-nav", "/planner/get_state"):
+            assert outcome(peer, target).refused, target
+        assert happened(server, ChangeCode.REFUSED, "/lidar: configure refused: the server does not let robot1")
+    assert nodes.taken == []
+
+
+@pytest.mark.parametrize(
+    "broken",
+    [
+        {"target": ""}, {"target": "nav; reboot"}, {"target": "nav\0"}, {"target": "nav\n"}, {"target": "/" * 256},
+        {"target": ["nav"]}, {"action": "destroy"}, {"action": ""}, {"action": 3}, {"who": "\x1b[2J"},
+        {"who": "x" * 256}, {"ticket": -1}, {"ticket": 2**60}, {"ticket": "1"}, {"again": 1},
+    ],
+)  # fmt: skip
+def test_requests_out_of_bounds_end_the_link(bridge: Bridge, broken: dict[str, Any]) -> None:
+    server = start(bridge)
+    with rogue(bridge) as peer:
+        eventually(lambda: server.snapshot().links[0].state is State.OK, what="a link")
+        said = msgspec.to_builtins(RunChange(ticket(peer), "nav", "configure"))
+        peer.say_raw(msgspec.msgpack.encode(said | broken))
+        eventually(lambda: server.snapshot().links[0].state is not State.OK, what="the end of the link")
+        assert happened(server, EventCode.LINK_LOST, Broken.INVALID_CONTROL_MESSAGE)
+    assert not happened(server, ChangeCode.BEGAN)
+
+
+def test_each_ticket_begins_one_change(bridge: Bridge, nodes: ManagedNodes) -> None:
+    start(bridge)
+    with rogue(bridge) as peer:
+        numbers = [ticket(peer, request) for request in range(1, 6)]
+        for number in (0, numbers[0], numbers[-1] + 1, 2**53):
+            assert outcome(peer, "nav", number=number).refused, number
+        assert nodes.taken == []
+        peer.say(*[RunChange(numbers[-1], "nav", "configure")] * 50)
+        assert peer.wait_for(ChangeEnded).outcome.done
+        assert outcome(peer, "nav", "cleanup", number=numbers[-1]).done, "the end of the one change"
+    assert nodes.taken == [("planner", "configure")]
+
+
+def test_a_ticket_of_another_connection_begins_nothing(bridge: Bridge, nodes: ManagedNodes) -> None:
+    start(bridge)
+    with rogue(bridge) as peer:
+        number = ticket(peer)
+    with rogue(bridge) as peer:
+        for again in (False, True):
+            peer.say(RunChange(number, "nav", "configure", again=again))
+            assert peer.wait_for(ChangeEnded).outcome.refused
+    assert nodes.taken == []
+
+
+def test_a_request_that_was_held_up_is_void(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
+    TICKET_LIFE.set(monkeypatch, 0.0)
+    start(bridge)
+    with rogue(bridge) as peer:
+        assert outcome(peer, "nav").reason == "the request came too late, and nothing was done: ask again"
+
+
+def test_few_changes_a_minute(bridge: Bridge, nodes: ManagedNodes) -> None:
+    start(bridge)
+    with rogue(bridge) as peer:
+        refused = [outcome(peer, "nav", "cleanup").refused for _ in range(STARTS + 3)]
+    assert refused == [False] * STARTS + [True] * 3
+
+
+def test_answers_that_nobody_waits_for_do_nothing(bridge: Bridge) -> None:
+    server = start(bridge)
+    with rogue(bridge) as peer:
+        ticket(peer)
+        peer.say(ManagedAnswer(7, 3), ChangeEnded(9, ChangeOutcome()), ChangeEnded(0, ChangeOutcome(reason="x")))
+        assert ticket(peer, 2)
+        assert server.snapshot().links[0].state is State.OK

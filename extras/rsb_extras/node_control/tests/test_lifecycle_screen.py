@@ -1,0 +1,116 @@
+"""The screen of managed nodes and groups: its list, a question for each change, its steps, and the way from a node."""
+
+from __future__ import annotations
+
+from concurrent.futures import Future
+from typing import TYPE_CHECKING
+
+from tests.console.driving import NARROW, WIDE, engine_of, gone, notified, on_main, shown, text, until
+
+from rsb_extras.node_control.change_requests import ChangeNodes, ListManaged
+from rsb_extras.node_control.lifecycle_rows import LifecycleText
+from rsb_extras.node_control.lifecycle_screen import LifecycleScreen, LifecycleScreenText
+from rsb_extras.node_control.tests.scripted_answers import DONE, SIDES
+from rsb_extras.nodes.nodes_screen import NodesScreen
+
+if TYPE_CHECKING:
+    import pytest
+    from textual.pilot import Pilot
+
+    from rsb_console.app import ConsoleApp
+    from rsb_extras.node_control.change_records import ChangeOutcome
+
+
+def told(app: ConsoleApp) -> list[tuple[object, ...]]:
+    return [command for command in engine_of(app).commands if command[0] == "change nodes"]
+
+
+async def opened(pilot: Pilot[None], *down: str) -> None:
+    await pilot.press("X")
+    await shown(pilot, "no answer")
+    await pilot.press(*down)
+
+
+@on_main(WIDE, NARROW)
+async def test_nodes_and_groups_are_shown_with_the_last_change(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await opened(pilot)
+    lines = [" ".join(line.strip(" │▌").split()) for line in text(app).splitlines()]
+    assert any(line.startswith("/camera this side active deactivate") for line in lines)
+    assert "/controller the server unconfigured no right" in lines
+    assert any(line.startswith("nav the server 1 inactive, 1 unconfigured up down") for line in lines)
+    await pilot.press("j")
+    await shown(pilot, "/controller refused to configure, and is unconfigured now")
+    await shown(pilot, "/nav/planner_server  configure  inactive  1.2 s")
+    await pilot.press("escape")
+    await gone(pilot, "no right")
+
+
+@on_main(NARROW)
+async def test_a_change_is_asked_first(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await opened(pilot, "j", "u")
+    await shown(pilot, "Up nav of the server?")
+    await shown(pilot, "/controller: they become active")
+    await pilot.press("n")
+    await gone(pilot, "Up nav of the server?")
+    assert told(app) == []
+    await pilot.press("w")
+    await shown(pilot, "Down nav of the server?")
+    await pilot.press("y")
+    await until(pilot, lambda: told(app) == [("change nodes", "nav", "down", "robot1")], "the change")
+
+
+@on_main(NARROW)
+async def test_what_a_node_does_not_offer_is_named(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await opened(pilot, "c")
+    offers = {"name": "/camera", "state": "active", "offers": "deactivate, shutdown"}
+    await notified(pilot, LifecycleScreenText.NOT_OFFERED, **offers)
+    assert told(app) == []
+
+
+@on_main(NARROW, readonly=True)
+async def test_a_read_only_console_only_looks(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await opened(pilot, "d")
+    await notified(pilot, LifecycleScreenText.READ_ONLY)
+    assert told(app) == []
+
+
+@on_main(NARROW)
+async def test_a_result_outlives_the_screen(
+    app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answer: Future[ChangeOutcome] = Future()
+    played = {ListManaged: lambda _: SIDES, ChangeNodes: lambda _: answer}
+    monkeypatch.setattr("tests.console.scripted.answers", lambda: played)
+    await opened(pilot, "d")
+    await shown(pilot, "Deactivate /camera of this side?")
+    await pilot.press("y")
+    await gone(pilot, "Deactivate /camera of this side?")
+    await pilot.press("escape")
+    await gone(pilot, "no right")
+    answer.set_result(DONE)
+    await notified(pilot, LifecycleText.ENDED, target="/camera", side="this side")
+
+
+@on_main(WIDE)
+async def test_a_node_leads_to_its_lifecycle(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("O")
+    await shown(pilot, "planner_server")
+    nodes = app.screen
+    assert isinstance(nodes, NodesScreen)
+    await shown(pilot, "x lifecycle")
+    while nodes.table.cursor_key != "/nav/planner_server":
+        await pilot.press("j")
+    await pilot.press("x")
+    await until(pilot, lambda: isinstance(app.screen, LifecycleScreen), "the lifecycle")
+    screen = app.screen
+    assert isinstance(screen, LifecycleScreen)
+    await until(pilot, lambda: screen.table.cursor_key == "robot1 /nav/planner_server", "the cursor on the node")
+    await pilot.press("escape")
+    await until(pilot, lambda: app.screen is nodes, "the nodes")
+    await pilot.press("question_mark")
+    await shown(pilot, "Show its lifecycle, and change it")
+
+
+def test_each_question_fits() -> None:
+    for each in (LifecycleScreenText.RISES, LifecycleScreenText.FALLS):
+        assert len(each(nodes="", goal="unconfigured")) <= 2 * 60  # lines of a question
