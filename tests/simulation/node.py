@@ -97,6 +97,20 @@ class Node:
     def node_names(self) -> list[str]:
         return []
 
+    def mirrored_by_others(self) -> dict[str, str]:
+        return {}
+
+    def mirror(self, _: str) -> None:
+        pass
+
+    end_mirror = mirror
+
+    def place(self, *_: object) -> None:
+        pass
+
+    def placed(self, _: object) -> str:
+        return ""
+
     def ends_of(self, node: str) -> NodeEnds:
         return NodeEnds()
 

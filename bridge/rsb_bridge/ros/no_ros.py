@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.calls import Fields
     from rsb_bridge.ros.ros_interface import (
         LostPort,
+        Place,
         Publisher,
         ServiceClient,
         ServiceServer,
@@ -44,6 +45,21 @@ class NoRos:
 
     def node_names(self) -> list[str]:
         return []
+
+    def mirrored_by_others(self) -> dict[str, str]:
+        return {}
+
+    def mirror(self, node: str) -> None:
+        pass
+
+    def end_mirror(self, node: str) -> None:
+        pass
+
+    def place(self, end: Place, node: str) -> None:
+        pass
+
+    def placed(self, end: Place) -> str:
+        return ""
 
     def ends_of(self, node: str) -> NodeEnds:
         return NodeEnds()
