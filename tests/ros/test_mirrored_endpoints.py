@@ -11,7 +11,7 @@ from tests.support.waiting import eventually
 from rsb_bridge.cdr.known_types import STRING, STRING_HASH
 from rsb_bridge.model.names import ANNOUNCEMENT_TOPIC
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.ros.ros_interface import Place, RosError, RosProblem, TopicSpec
+from rsb_bridge.ros.ros_interface import EndPlace, RosError, RosProblem, TopicSpec
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -34,10 +34,10 @@ def names_seen_by(node: Node) -> list[str]:
 
 def test_stock_node_finds_endpoints_on_the_mirrored_node(open_node: Callable[..., RosNode], rclpy_node: Node) -> None:
     node = open_node()
-    node.mirror(LIDAR)
-    for end in (Place("publisher", "/scan", "robot1"), Place("subscription", "/speed", "robot1")):
-        node.place(end, LIDAR)
-    node.place(Place("service", "/front/reset"), LIDAR)
+    node.mirrors.add(LIDAR)
+    for end in (EndPlace("publisher", "/scan", "robot1"), EndPlace("subscription", "/speed", "robot1")):
+        node.mirrors.place(end, LIDAR)
+    node.mirrors.place(EndPlace("service", "/front/reset"), LIDAR)
     publisher = node.advertise(spec("/scan"), "robot1")
     subscription = node.subscribe(spec("/speed"), print, "robot1")
     service_hash = node.installed_service_hash(TRIGGER)
@@ -59,45 +59,44 @@ def test_stock_node_finds_endpoints_on_the_mirrored_node(open_node: Callable[...
     assert client.wait_for_service(20.0)
     for closed in (publisher, subscription, server):
         closed.close()
-    node.end_mirror(LIDAR)
-    node.end_mirror(LIDAR)
+    node.mirrors.remove(LIDAR)
+    node.mirrors.remove(LIDAR)
     eventually(lambda: LIDAR not in names_seen_by(rclpy_node), what="its end")
 
 
 def test_bridges_know_mirrored_nodes_and_their_endpoints(open_node: Callable[..., RosNode]) -> None:
     one, other = open_node(), open_node(name="robot2")
     one.advertise(spec(ANNOUNCEMENT_TOPIC), ANNOUNCEMENT_TOPIC)  # as an engine's first
-    one.mirror(LIDAR)
-    one.place(Place("publisher", "/scan", "robot1"), LIDAR)
+    one.mirrors.add(LIDAR)
+    one.mirrors.place(EndPlace("publisher", "/scan", "robot1"), LIDAR)
     one.advertise(spec("/scan"), "robot1")
-    eventually(lambda: other.mirrored_by_others() == {LIDAR: f"/{one.node_name}"}, what="it is known as mirrored")
+    eventually(lambda: other.mirrors.by_others() == {LIDAR: f"/{one.node_name}"}, what="it is known as mirrored")
     eventually(lambda: [each.node for each in other.publishers("/scan")] == [f"/{one.node_name}"])
     assert f"/{one.node_name}" in other.node_names()
     assert LIDAR not in [*other.node_names(), *one.node_names()]
-    assert one.mirrored_by_others() == {}
+    assert one.mirrors.by_others() == {}
     assert one.publishers("/scan") == []
     assert "/scan" not in one.topics()
 
 
 def test_endpoint_without_its_node_is_the_bridges_own(open_node: Callable[..., RosNode], rclpy_node: Node) -> None:
     node = open_node()
-    end = Place("publisher", "/scan", "robot1")
-    node.place(end, LIDAR)
-    assert node.placed(end) == LIDAR
+    end = EndPlace("publisher", "/scan", "robot1")
+    node.mirrors.place(end, LIDAR)
+    assert node.mirrors.node_of(end) == LIDAR
     node.advertise(spec("/scan"), "robot1")
     eventually(
         lambda: [each.node_name for each in rclpy_node.get_publishers_info_by_topic("/scan")] == [node.node_name]
     )
-    node.place(end, "")
-    assert not node.placed(end)
+    node.mirrors.place(end, "")
+    assert not node.mirrors.node_of(end)
 
 
 def test_names_that_ros_refuses_are_not_mirrored(open_node: Callable[..., RosNode]) -> None:
     node = open_node()
     for name in ("/a-b", "/1st", "/", "/a//b"):
         with pytest.raises(RosError, match="cannot be mirrored"):
-            node.mirror(name)
+            node.mirrors.add(name)
     node.stop()
-    node.end_mirror(LIDAR)
     with pytest.raises(RosError, match=RosProblem.NOT_RUNNING()):
-        node.mirror(LIDAR)
+        node.mirrors.add(LIDAR)

@@ -49,7 +49,7 @@ def test_permissive_domain_is_joined_unsecured(monkeypatch: pytest.MonkeyPatch) 
     node = RosNode(DOMAIN, "robot1")
     node.start()
     with pytest.raises(RosError, match=re.escape(RosProblem.NO_MIRROR_SECURED())):
-        node.mirror("/lidar")
+        node.mirrors.add("/lidar")
     node.stop()
     assert any(says(each, SecurityText.UNSECURED) for each in node.shortfalls)
 

@@ -149,7 +149,7 @@ class Endpoint(NamedTuple):
         return self.has_key and self.gid[:2] != _FAST_DDS
 
 
-class Place(NamedTuple):
+class EndPlace(NamedTuple):
     """An endpoint of ours, or several that may follow one another, by which a mirrored node has it.
 
     Attributes:
@@ -362,6 +362,38 @@ class RouteEnds(Protocol):
         """Create a raw publisher; types and errors as `subscribe`."""
 
 
+class Mirroring(Protocol):
+    """Nodes of this bridge that stand here for nodes of another domain. May be used from any thread."""
+
+    def by_others(self) -> dict[str, str]:
+        """Return the full names of the nodes that other bridges mirror here, each with the full name of its bridge."""
+
+    def add(self, node: str) -> None:
+        """Have a node of that full name stand here, without endpoints at first.
+
+        The caller has looked whether there is one: ROS takes a second one.
+
+        Raises:
+            RosError: ROS refuses the name, or nodes cannot be mirrored here.
+        """
+
+    def remove(self, node: str) -> None:
+        """End a node of `add`; nothing happens without one. Others see it until its endpoints have been closed.
+
+        Raises:
+            RosError: the bridge's own node is not running.
+        """
+
+    def place(self, end: EndPlace, node: str) -> None:
+        """Have endpoints that are made from now on belong to a node of `add`, or to our own if `node` is empty.
+
+        They belong to our own, too, while there is no such node. `RosInterface` shows all as our own node's.
+        """
+
+    def node_of(self, end: EndPlace) -> str:
+        """Return the node that `place` has set, or an empty string."""
+
+
 class RosInterface(RouteEnds, Protocol):
     """One domain's ROS graph, and our node in it. Every method may be called from any thread.
 
@@ -371,6 +403,7 @@ class RosInterface(RouteEnds, Protocol):
         turns: of the thread that drains subscriptions.
         shortfalls: what does not work with this ROS, in an operator's words; known once it has started.
         discovery: how nodes find each other here.
+        mirrors: the nodes of other domains that stand here.
     """
 
     instance_id: str
@@ -378,6 +411,7 @@ class RosInterface(RouteEnds, Protocol):
     turns: RosTurns
     shortfalls: tuple[str, ...]
     discovery: Discovery
+    mirrors: Mirroring
 
     def start(self) -> None:
         """Join the domain and start the thread that drains subscriptions.
@@ -409,30 +443,6 @@ class RosInterface(RouteEnds, Protocol):
 
         Nodes that a bridge mirrors are left out, another bridge's too.
         """
-
-    def mirrored_by_others(self) -> dict[str, str]:
-        """Return the full names of the nodes that other bridges mirror here, each with the full name of its bridge."""
-
-    def mirror(self, node: str) -> None:
-        """Have a node of that full name stand here for one of another domain, with no endpoints at first.
-
-        The caller has looked whether there is one: ROS takes a second one.
-
-        Raises:
-            RosError: ROS refuses the name, or nodes cannot be mirrored here.
-        """
-
-    def end_mirror(self, node: str) -> None:
-        """End a node of `mirror`; nothing happens without one. Others see it until its endpoints have been closed."""
-
-    def place(self, end: Place, node: str) -> None:
-        """Have endpoints that are made from now on belong to a node of `mirror`, or to our own if `node` is empty.
-
-        So it is while there is no such node. To those who look at a graph by this interface, all belong to our own.
-        """
-
-    def placed(self, end: Place) -> str:
-        """Return the node that `place` has set, or an empty string."""
 
     def ends_of(self, node: str) -> NodeEnds:
         """Return what a node uses, by its full name: nothing once it has gone."""

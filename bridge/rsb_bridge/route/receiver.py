@@ -16,7 +16,7 @@ from rsb_bridge.model.snapshot import Level, State
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.distribution import package_of
-from rsb_bridge.ros.ros_interface import Place, RosError, TopicSpec
+from rsb_bridge.ros.ros_interface import EndPlace, RosError, TopicSpec
 from rsb_bridge.route.arming import without_history
 from rsb_bridge.route.combined_verdict import lasting, record_of
 from rsb_bridge.route.half import Carried
@@ -224,8 +224,8 @@ class Receiver:
         self.route.peer.send(Refuse(route=route_id, code="type_differs", reason=sanitize_text(reason)))
 
     @property
-    def places(self) -> Sequence[Place]:
-        return (Place("publisher", self.route.remote_topic, self.route.peer.name),)
+    def places(self) -> Sequence[EndPlace]:
+        return (EndPlace("publisher", self.route.remote_topic, self.route.peer.name),)
 
     @property
     def nodes_there(self) -> Sequence[str]:

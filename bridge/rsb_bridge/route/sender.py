@@ -16,7 +16,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.publication_numbers import Untaken
-from rsb_bridge.ros.ros_interface import Place, RosError, TopicSpec
+from rsb_bridge.ros.ros_interface import EndPlace, RosError, TopicSpec
 from rsb_bridge.route.arming import without_history
 from rsb_bridge.route.catching_up import LATE, Backlog
 from rsb_bridge.route.combined_verdict import lasting, record_of
@@ -248,8 +248,8 @@ class Sender:
         self.counts.disarmed()
 
     @property
-    def places(self) -> Sequence[Place]:
-        return (Place("subscription", self.route.topic, self.route.peer.name),)
+    def places(self) -> Sequence[EndPlace]:
+        return (EndPlace("subscription", self.route.topic, self.route.peer.name),)
 
     @property
     def nodes_there(self) -> Sequence[str]:

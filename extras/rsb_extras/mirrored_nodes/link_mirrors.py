@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Final
 from rsb_bridge.feature_api import Extension, Level, RosError
 from rsb_bridge.model.names import OF_EVERY_NODE, client_topic, server_topic
 from rsb_extras.mirrored_nodes import GRAPH, MIRRORED, MirrorCount
-from rsb_extras.mirrored_nodes.mirror_table import LeftOut, MirrorTable, is_mirrorable
+from rsb_extras.mirrored_nodes.mirror_table import MirrorTable, NotMirrored, is_mirrorable
 from rsb_extras.nodes.link_nodes import LinkNodes
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
     from rsb_bridge.feature_api import Link, Route
-    from rsb_bridge.ros.ros_interface import Place
+    from rsb_bridge.ros.ros_interface import EndPlace
 
 MOST: Final = 200
 """Nodes of one link."""
@@ -38,7 +38,7 @@ class LinkMirrors(Extension):
         self._link = link
         self._table = link.context.shared(MirrorTable)
         self._mine: dict[str, float] = {}  # names here, with the time (s) until which each stands without being listed
-        self._placed: dict[Place, str] = {}
+        self._placed: dict[EndPlace, str] = {}
         self._left_out: dict[str, str] = {}  # reasons, by names
         self._logged: set[str] = set()
 
@@ -77,7 +77,7 @@ class LinkMirrors(Extension):
         for name in new[:_A_SECOND]:
             self._stands(name, inf)
         if len(self._mine) >= MOST and (count := len(running - self._mine.keys() - self._left_out.keys())):
-            self._left_out[""] = LeftOut.TOO_MANY(count=count, limit=MOST)
+            self._left_out[""] = NotMirrored.TOO_MANY(count=count, limit=MOST)
         self._place_all()
         self._log()
 
@@ -91,9 +91,9 @@ class LinkMirrors(Extension):
         there = self._link.extensions.find(LinkNodes)
         shown = there.keep_looking()
         if there.book.why_not:
-            self._left_out[""] = LeftOut.NOT_SHOWN(reason=there.book.why_not)
+            self._left_out[""] = NotMirrored.NOT_SHOWN(reason=there.book.why_not)
         elif not shown and self._link.linked:
-            self._left_out[""] = LeftOut.LACKS()
+            self._left_out[""] = NotMirrored.LACKS()
         return shown
 
     def _log(self) -> None:
@@ -135,7 +135,7 @@ class LinkMirrors(Extension):
     # --- endpoints on them
 
     def place(self, route: Route, nodes: Sequence[str]) -> None:
-        """Place the ends of a route that are about to be made on one of these nodes of the other side.
+        """EndPlace the ends of a route that are about to be made on one of these nodes of the other side.
 
         The list of nodes may not have come yet, or lack a new one. So that no message is sent twice, the node is
         mirrored at once.
@@ -173,9 +173,9 @@ class LinkMirrors(Extension):
             return before
         return next((name for name in names if name in self._mine), "")
 
-    def _put(self, places: Iterable[Place], node: str) -> None:
+    def _put(self, places: Iterable[EndPlace], node: str) -> None:
         for each in tuple(places):
-            self._link.context.ros.place(each, node)
+            self._link.context.ros.mirrors.place(each, node)
             if node:
                 self._placed[each] = node
             else:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from typing import TYPE_CHECKING
 
 from rsb_bridge.feature_api import RosError, Wording
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
     from rsb_bridge.feature_api import Context
 
 
-class LeftOut(Wording):
+class NotMirrored(Wording):
     """The reasons why a node is not mirrored."""
 
     EXISTS = (
@@ -51,7 +52,7 @@ class MirrorTable:
         """Read the names of the domain's nodes. It takes some 50 µs, and 2 µs for each."""
         ros = self._context.ros
         try:
-            self._present, self._others = frozenset(ros.node_names()), ros.mirrored_by_others()
+            self._present, self._others = frozenset(ros.node_names()), ros.mirrors.by_others()
         except RosError:  # the node has stopped
             self._present = self._present or frozenset()
 
@@ -61,18 +62,19 @@ class MirrorTable:
             self.read()
         assert self._present is not None
         if node in self._present:
-            return LeftOut.EXISTS(node=node, domain=self._context.domain_id)
+            return NotMirrored.EXISTS(node=node, domain=self._context.domain_id)
         own, bridge, mirrored_for = f"/{self._context.ros.node_name}", self._others.get(node), self.links.get(node)
         # Of two that have begun at once, the one with the lesser name goes on.
         if bridge is not None and (mirrored_for is None or bridge < own):
-            return LeftOut.OTHER_BRIDGE(node=node, bridge=bridge)
-        return "" if mirrored_for in (None, link) else LeftOut.OTHER_LINK(node=node, link=mirrored_for)
+            return NotMirrored.OTHER_BRIDGE(node=node, bridge=bridge)
+        return "" if mirrored_for in (None, link) else NotMirrored.OTHER_LINK(node=node, link=mirrored_for)
 
     def add(self, node: str, link: str) -> None:
         """Mirror a node; raise `RosError` where that is impossible."""
-        self._context.ros.mirror(node)
+        self._context.ros.mirrors.add(node)
         self.links[node] = link
 
     def remove(self, node: str) -> None:
         del self.links[node]
-        self._context.ros.end_mirror(node)
+        with contextlib.suppress(RosError):  # the node has stopped
+            self._context.ros.mirrors.remove(node)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, ClassVar
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.verdict import Cause
-from rsb_bridge.ros.ros_interface import Place
+from rsb_bridge.ros.ros_interface import EndPlace
 from rsb_bridge.route.calls.action_goals import CallerGoals
 from rsb_bridge.route.calls.asked_calls import AskedCalls, CallerKind
 from rsb_bridge.route.calls.calls_flow import CallsFlow
@@ -51,11 +51,11 @@ class Caller(CallsHalf):
         super().__init__(flow, types, calls, self.offer, messages=self.offer)
 
     @property
-    def places(self) -> Sequence[Place]:
+    def places(self) -> Sequence[EndPlace]:
         """Return those of all lanes but topics that several nodes publish."""
         route = self.route
         return [
-            Place("publisher", name, route.peer.name) if each.is_topic else Place("service", name)
+            EndPlace("publisher", name, route.peer.name) if each.is_topic else EndPlace("service", name)
             for each in self.flow.members
             if not each.absolute and (name := each.name_on(route.local_topic))
         ]

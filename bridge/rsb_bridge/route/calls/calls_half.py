@@ -21,7 +21,7 @@ from rsb_bridge.wire.records import CallsReport
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from rsb_bridge.ros.ros_interface import Place
+    from rsb_bridge.ros.ros_interface import EndPlace
     from rsb_bridge.route.calls.asked_calls import AskedCalls, CallerKind
     from rsb_bridge.route.calls.call_frames import TakesFrames
     from rsb_bridge.route.calls.calls_end import CallsEnd
@@ -80,7 +80,7 @@ class CallsHalf:
         self._end.proceed()
 
     @property
-    def places(self) -> Sequence[Place]:
+    def places(self) -> Sequence[EndPlace]:
         return ()
 
     @property

@@ -15,10 +15,11 @@ from tests.support.spun import Spun
 from tests.support.waiting import eventually
 from tests.support.wording import has_text
 
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 from rsb_extras.mirrored_nodes import MIRRORED, GraphKeys
 from rsb_extras.mirrored_nodes.link_mirrors import MirrorCode
-from rsb_extras.mirrored_nodes.mirror_table import LeftOut
+from rsb_extras.mirrored_nodes.mirror_table import NotMirrored
 from rsb_extras.mirrored_nodes.tests.far_program import CAMERA, LIDAR, FarProgram
 
 if TYPE_CHECKING:
@@ -68,7 +69,7 @@ def mirrored(engine: Engine) -> tuple[int, tuple[str, ...]]:
 
 def exists(engine: Engine, node: str, domain: Domain) -> bool:
     """Whether a node is left out as its domain has one of that name."""
-    return any(has_text(each, LeftOut.EXISTS, node=node, domain=domain.id) for each in mirrored(engine)[1])
+    return any(has_text(each, NotMirrored.EXISTS, node=node, domain=domain.id) for each in mirrored(engine)[1])
 
 
 def test_nodes_stand_here_with_what_is_bridged(bridge: Bridge, far: FarProgram, pc: Domain) -> None:
@@ -81,6 +82,7 @@ def test_nodes_stand_here_with_what_is_bridged(bridge: Bridge, far: FarProgram, 
     assert names(pc).count(LIDAR) == 1
     assert CAMERA in names(pc)
     eventually(lambda: plan.texts(1) == ["the plan"], what="the latched message")
+    assert happened(server, EventCode.ROUTE_MOVED) is None  # so it was sent once
     eventually(lambda: [each.node_name for each in pc.node.get_publishers_info_by_topic("/scan")] == ["lidar"])
 
     def crosses() -> bool:
@@ -126,7 +128,7 @@ def test_node_that_exists_here_is_left_out(bridge: Bridge, far: FarProgram, pc: 
     eventually(lambda: LIDAR in names(pc), what="the lidar")
     assert names(pc).count("/stock") == 1
     eventually(lambda: exists(server, "/stock", pc), what="the reason")
-    assert happened(server, MirrorCode.LEFT_OUT, LeftOut.EXISTS, node="/stock", domain=pc.id)
+    assert happened(server, MirrorCode.LEFT_OUT, NotMirrored.EXISTS, node="/stock", domain=pc.id)
     own = rclpy.create_node("lidar", namespace="/front", context=pc.context, start_parameter_services=False)
     eventually(lambda: names(pc).count(LIDAR) == 1, what="the mirrored one's end")
     eventually(lambda: exists(server, LIDAR, pc), what="the reason")
@@ -141,11 +143,16 @@ def test_nothing_stands_here_unless_the_session_asks(
     server = bridge.server()
     bridge.client(*TOPICS)
     eventually(lambda: is_accepted(server, "/front/reset"), what="open")
+    plan = pc.listener("/plan", qos=LATCHED)
+    eventually(lambda: plan.texts(1) == ["the plan"], what="the latched message")
     assert MIRRORED.of(link(server)) is None
     assert LIDAR not in names(pc)
     path = tmp_path / "server.yaml"
     reloaded(server, path, **ON)
     eventually(lambda: info(pc, LIDAR) == ({"/scan", "/plan"}, set(), {"/front/reset"}), what="it stands here")
+    assert happened(server, EventCode.ROUTE_MOVED) is not None
+    late = pc.listener("/plan", qos=LATCHED)
+    eventually(lambda: late.texts(1) == ["the plan"], what="the latched message, sent again")
     reloaded(server, path, features={})
     eventually(lambda: {LIDAR, CAMERA}.isdisjoint(names(pc)), what="its end")
     listener = pc.listener("/scan")
@@ -169,7 +176,7 @@ def test_hidden_nodes_are_not_mirrored(bridge: Bridge, far: FarProgram, pc: Doma
     server = bridge.server(**ON)
     client = bridge.client(*TOPICS, features={"show_nodes": False})
     eventually(lambda: linked(server) and mirrored(server)[1], what="the reason")
-    assert has_text(mirrored(server)[1][0], LeftOut.NOT_SHOWN)
+    assert has_text(mirrored(server)[1][0], NotMirrored.NOT_SHOWN)
     eventually(lambda: LIDAR not in names(pc), what="no node")
     assert mirrored(server)[0] == 0
     assert MIRRORED.of(link(client)) is None

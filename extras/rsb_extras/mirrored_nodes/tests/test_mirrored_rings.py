@@ -16,7 +16,7 @@ from tests.support.wording import has_text
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_extras.mirrored_nodes import MIRRORED, GraphKeys, MirrorCount
-from rsb_extras.mirrored_nodes.mirror_table import LeftOut
+from rsb_extras.mirrored_nodes.mirror_table import NotMirrored
 from rsb_extras.mirrored_nodes.tests.far_program import CAMERA, LIDAR, FarProgram
 
 if TYPE_CHECKING:
@@ -93,7 +93,7 @@ def test_two_bridges_mirror_a_node_once(bridge: Bridge, far: FarProgram, robot: 
         return [count(pair.server, name) for name, pair in pairs.items()]
 
     def others() -> int:
-        return sum(has_text(text, LeftOut.OTHER_BRIDGE) for each in counts() for text in each.left_out)
+        return sum(has_text(text, NotMirrored.OTHER_BRIDGE) for each in counts() for text in each.left_out)
 
     eventually(lambda: (sum(each.nodes for each in counts()), others()) == (2, 2), what="each node by one of them")
     eventually(lambda: [name for name in names(pc) if name in (LIDAR, CAMERA)] == [CAMERA, LIDAR], what="each once")
