@@ -25,7 +25,7 @@ from rsb_bridge.transport.registry import Transports, default_transports
 
 if TYPE_CHECKING:
     import asyncio
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
     from enum import StrEnum
 
     from rsb_bridge.model.demands import DemandSource
@@ -64,6 +64,8 @@ class Context:
         rests: tasks that publish rests after an arming, to be awaited before the ROS side stops.
         names_changed: to be called when another set of names of the graph is followed (`link.graph_watch.NameWatch`).
         is_unsaved: returns whether the running session differs from its file; with many topics it takes a while.
+        place: places a route's ends in ROS (`route.half.Half.places`), which may be made now, by the names of nodes on
+            the other side that have it.
         tap_of: returns what gets all messages of a topic (`route.peeking.Tap`), or None. It takes the topic's name on
             this side, and a route or another object with `type_name`, `type_hash` and `qos`.
     """
@@ -93,6 +95,7 @@ class Context:
     rests: set[asyncio.Task[None]] = field(default_factory=set)
     names_changed: Callable[[], None] = lambda: None
     is_unsaved: Callable[[], bool] = lambda: False
+    place: Callable[[Any, Sequence[str]], None] = lambda _, __: None
     tap_of: Callable[[str, Any], Callable[[bytes, int, int, bytes, int], None] | None] = lambda _, __: None
     _shared: dict[Callable[[Context], Any], Any] = field(default_factory=dict)
 

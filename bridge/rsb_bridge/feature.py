@@ -28,6 +28,7 @@ GROUP = "rsb_console.feature"
 
 BRINGS: Mapping[str, str] = {
     "bench": "bench",
+    "graph": "mirrored_nodes",
     "groups": "node_control",
     **dict.fromkeys(("hear_rosout", "show_nodes"), "nodes"),
     **dict.fromkeys(("diagnostics_topic", "driver_topic", "metrics", "on_fault"), "exporters"),

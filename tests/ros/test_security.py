@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING
 
 import pytest
@@ -9,7 +10,7 @@ from tests.ros.domains import DOMAIN
 from tests.support.wording import says
 
 from rsb_bridge.ros.node import RosNode
-from rsb_bridge.ros.ros_interface import RosError
+from rsb_bridge.ros.ros_interface import RosError, RosProblem
 from rsb_bridge.ros.security import Security, SecurityText
 
 if TYPE_CHECKING:
@@ -47,6 +48,8 @@ def test_permissive_domain_is_joined_unsecured(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setenv("ROS_SECURITY_ENABLE", "true")
     node = RosNode(DOMAIN, "robot1")
     node.start()
+    with pytest.raises(RosError, match=re.escape(RosProblem.NO_MIRROR_SECURED())):
+        node.mirrors.add("/lidar")
     node.stop()
     assert any(says(each, SecurityText.UNSECURED) for each in node.shortfalls)
 

@@ -9,6 +9,7 @@ from tests.simulation.ros import Domain, Reader, Writer
 from tests.simulation.services import Client, Server
 
 from rsb_bridge.ros.discovery import Discovery
+from rsb_bridge.ros.no_ros import NoMirrors
 from rsb_bridge.ros.ros_interface import Endpoint, NodeEnds, RosError
 from rsb_bridge.ros.ros_thread import LONGEST_WAIT, RosTurns
 
@@ -17,7 +18,16 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.calls import Fields
     from rsb_bridge.ros.publication_numbers import PublicationNumbers
-    from rsb_bridge.ros.ros_interface import LostPort, OnFailure, RawMessage, RequestSink, ResponseSink, Sink, TopicSpec
+    from rsb_bridge.ros.ros_interface import (
+        LostPort,
+        Mirroring,
+        OnFailure,
+        RawMessage,
+        RequestSink,
+        ResponseSink,
+        Sink,
+        TopicSpec,
+    )
 
 
 class Node:
@@ -27,6 +37,7 @@ class Node:
         self.instance_id = instance_id
         self.shortfalls: tuple[str, ...] = ()
         self.discovery = Discovery({})
+        self.mirrors: Mirroring = NoMirrors()
         self.turns = RosTurns(self._turn_on, domain.loop.time)
         self.writers: dict[Writer, None] = {}
         self.readers: dict[Reader, None] = {}

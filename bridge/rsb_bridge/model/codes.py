@@ -166,6 +166,7 @@ class EventCode(StrEnum):
     ROUTE_RESTING = "route.resting"
     """A lazy topic is no longer subscribed to, as nobody on the other side subscribes."""
     ROUTE_RENEWED = "route.renewed"
+    ROUTE_MOVED = "route.moved"
     """A topic with `renew` is subscribed to anew, as more subscribe on the other side."""
     ROUTE_DISARMED = "route.disarmed"
     """A topic was disarmed by itself; `Event.cause` says why."""

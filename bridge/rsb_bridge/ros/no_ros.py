@@ -13,12 +13,33 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.calls import Fields
     from rsb_bridge.ros.ros_interface import (
+        EndPlace,
         LostPort,
+        Mirroring,
         Publisher,
         ServiceClient,
         ServiceServer,
         Subscription,
     )
+
+
+class NoMirrors:
+    """Mirrors no node."""
+
+    def by_others(self) -> dict[str, str]:
+        return {}
+
+    def add(self, node: str) -> None:
+        pass
+
+    def remove(self, node: str) -> None:
+        pass
+
+    def place(self, end: EndPlace, node: str) -> None:
+        pass
+
+    def node_of(self, end: EndPlace) -> str:
+        return ""
 
 
 class NoRos:
@@ -29,6 +50,7 @@ class NoRos:
     shortfalls: tuple[str, ...] = ()
     discovery = Discovery({})
     turns = RosTurns()
+    mirrors: Mirroring = NoMirrors()
 
     def start(self) -> None:
         pass

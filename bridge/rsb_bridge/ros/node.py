@@ -19,7 +19,17 @@ from rsb_bridge.ros.distribution import check_libraries, check_middleware, check
 from rsb_bridge.ros.memory import histories_that_shrink, large_blocks_kept
 from rsb_bridge.ros.native.shared_memory import ReadPorts
 from rsb_bridge.ros.native.typesupport import hash_of, installed_class, installed_service, service_hash_of
-from rsb_bridge.ros.ros_interface import BATCH, Liveliness, RawMessage, Request, Response, RosError, RosProblem
+from rsb_bridge.ros.node_mirrors import NodeMirrors
+from rsb_bridge.ros.ros_interface import (
+    BATCH,
+    EndPlace,
+    Liveliness,
+    RawMessage,
+    Request,
+    Response,
+    RosError,
+    RosProblem,
+)
 from rsb_bridge.ros.ros_thread import LONGEST_WAIT, RosTurns
 from rsb_bridge.ros.security import Security
 
@@ -34,6 +44,7 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.ros_interface import (
         Endpoint,
         LostPort,
+        Mirroring,
         NodeEnds,
         OnFailure,
         Publisher,
@@ -113,6 +124,7 @@ class RosNode:
         self._own: defaultdict[_Key, set[bytes]] = defaultdict(set)
         self._closed: deque[tuple[_Key, bytes]] = deque()  # still in `_own`: their messages may yet arrive
         self._ports = ReadPorts()
+        self.mirrors: Mirroring = NodeMirrors(self._joined, self._lock)
 
     def start(self) -> None:
         """Join the domain and start the thread.
@@ -228,7 +240,8 @@ class RosNode:
     ) -> Subscription:
         with self._lock:
             participant = self._joined()
-            reader = participant.create_reader(spec, numbers, express=express)
+            node = self.mirrors.node_of(EndPlace("subscription", spec.topic, origin))
+            reader = participant.create_reader(spec, numbers, express=express, node=node)
             key = (reader.topic, origin)
             # It gets the set itself: the messages of publishers that this link makes later are left out, too.
             subscription = _Subscription(reader, spec.qos, sink, on_failure, key, self._own[key], self)
@@ -237,7 +250,7 @@ class RosNode:
 
     def advertise(self, spec: TopicSpec, origin: Hashable) -> Publisher:
         with self._lock:
-            writer = self._joined().create_writer(spec)
+            writer = self._joined().create_writer(spec, self.mirrors.node_of(EndPlace("publisher", spec.topic, origin)))
             self._writers.add(writer)
             self._own[writer.topic, origin].add(writer.told)
             publisher = _Publisher(writer, spec.qos, self, (writer.topic, origin))
@@ -271,7 +284,8 @@ class RosNode:
     ) -> ServiceServer:
         with self._lock:
             participant = self._joined()
-            created = participant.create_server(service, type_name, type_hash)
+            node = self.mirrors.node_of(EndPlace("service", service))
+            created = participant.create_server(service, type_name, type_hash, node)
             server = ServerDrain(created, sink, on_failure, self.retire)
             self._drain(server, participant)
         return server

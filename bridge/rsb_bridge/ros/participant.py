@@ -12,12 +12,14 @@ import msgspec
 from rclpy.context import Context
 
 from rsb_bridge.model.limits import DOMAIN, TEXT_LENGTH, TOPIC_LENGTH
-from rsb_bridge.model.names import is_topic_name
+from rsb_bridge.model.names import ANNOUNCEMENT_TOPIC, is_bridge, is_topic_name
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.ros.arrivals import EventArrivals, WaitSetArrivals
+from rsb_bridge.ros.bridge_participants import BridgeParticipants
 from rsb_bridge.ros.distribution import described
 from rsb_bridge.ros.memory import profile_variable, prompt_writer
+from rsb_bridge.ros.native.cyclone_dds import CYCLONE_DDS
 from rsb_bridge.ros.native.description_service import ask_node
 from rsb_bridge.ros.native.fast_dds_profiles import load_profiles
 from rsb_bridge.ros.native.librcl import TakeBuffer, graph_guard_condition, reset_error
@@ -32,12 +34,13 @@ from rsb_bridge.ros.native.rclpy_extension import (
     UntakenResponses,
     ask,
     names_of_node,
+    nodes_of,
     reason_of,
 )
 from rsb_bridge.ros.raw_types import borrow_service, borrow_type
 from rsb_bridge.ros.ros_interface import Endpoint, NodeEnds, RosError, RosProblem
 from rsb_bridge.ros.security import Security
-from rsb_bridge.ros.self_test import ARGUMENTS, findings
+from rsb_bridge.ros.self_test import ARGUMENTS, FAST_DDS, findings
 from rsb_bridge.ros.service_endpoints import (
     CallerTable,
     RawServiceClient,
@@ -50,11 +53,11 @@ from rsb_bridge.ros.service_endpoints import (
 from rsb_bridge.ros.topic_endpoints import Reader, Writer
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
 
     from rsb_bridge.ros.arrivals import Arrivals, Incoming
     from rsb_bridge.ros.native.named_types import BorrowedType
-    from rsb_bridge.ros.native.rclpy_extension import Entity, Kind, Question
+    from rsb_bridge.ros.native.rclpy_extension import Entity, Kind, OwnNode, Question
     from rsb_bridge.ros.publication_numbers import PublicationNumbers
     from rsb_bridge.ros.ros_interface import TopicSpec
 
@@ -75,7 +78,9 @@ _CALLS = Qos("reliable", "volatile", "keep_last", _KEPT)
 
 
 class Participant:
-    """Our one node in one domain.
+    """Our own node in one domain, and nodes that stand for those of another one (*mirrored* nodes).
+
+    All are of one context, whose enclave is the own node's name: by that, other bridges know mirrored nodes.
 
     Attributes:
         shortfalls: what does not work with this ROS, in an operator's words.
@@ -96,8 +101,15 @@ class Participant:
         if domain_id not in DOMAIN:
             raise RosError(RosProblem.NO_SUCH_DOMAIN(domain=domain_id, domains=DOMAIN))
         found, self._context = findings(), Context()
+        # A secured context has the enclave whose keys it uses.
+        self._why_no_mirrors = RosProblem.NO_MIRROR_SECURED() if Security(os.environ).is_on else ""
+        if found.middleware not in {FAST_DDS, CYCLONE_DDS}:
+            self._why_no_mirrors = RosProblem.NO_MIRROR_MIDDLEWARE(middleware=found.middleware)
+        enclave = () if self._why_no_mirrors else ("--enclave", f"/{node_name}")
+        self._new_node = found.node
+        self._mirrored: dict[str, OwnNode] = {}
         try:
-            self._context.init(ARGUMENTS, domain_id=domain_id)
+            self._context.init([*ARGUMENTS, *enclave], domain_id=domain_id)
             self._node = found.node(node_name, self._context)
         except RuntimeError as error:
             self._context.try_shutdown()  # `shutdown` raises if `init` has failed
@@ -112,6 +124,7 @@ class Participant:
             self._leave_domain()
             raise RosError(f"ROS domain {domain_id} cannot be joined: {error}") from error
         self._graph_version = 0
+        self._bridges = BridgeParticipants(self._announcers, lambda: self._graph_version)
         self._late: dict[RawServiceServer, None] = {}
         self._buffer = TakeBuffer()
         self._untaken = UntakenResponses(self._context)
@@ -129,15 +142,43 @@ class Participant:
         self._leave_domain()
 
     def _leave_domain(self) -> None:
-        self._node.destroy()
+        for node in (*self._mirrored.values(), self._node):
+            node.destroy()
         self._context.shutdown()
         self._context.destroy()
 
     def node_names(self) -> list[str]:
-        """The full names of all nodes but our own."""
-        found = ask(self._node.handle.get_node_names_and_namespaces)
-        names = (sanitize_text(f"{namespace.rstrip('/')}/{name}", TEXT_LENGTH) for name, namespace in found)
-        return [name for name in names if name != self._name]
+        """The full names of all nodes but our own, and those that any bridge mirrors."""
+        found = nodes_of(self._node.handle)
+        names = (name for name, enclave in found if name != self._name and (name == enclave or not is_bridge(enclave)))
+        return [sanitize_text(name, TEXT_LENGTH) for name in names]
+
+    def mirrored_by_others(self) -> dict[str, str]:
+        """The full names of nodes that other bridges mirror here, each with its bridge's."""
+        others = (each for each in nodes_of(self._node.handle) if self._name != each[1] != each[0])
+        return {sanitize_text(name, TEXT_LENGTH): enclave for name, enclave in others if is_bridge(enclave)}
+
+    def add_mirror(self, name: str) -> None:
+        """Make a node of that full name, for endpoints that are created with it as their `node`.
+
+        Raises:
+            RosError: ROS refuses the name, or nodes cannot be mirrored here.
+        """
+        if self._why_no_mirrors:
+            raise RosError(self._why_no_mirrors)
+        namespace, _, base = name.rpartition("/")
+        try:
+            with self._entities:
+                self._mirrored[name] = self._new_node(base, self._context, namespace or "/")
+        except (RuntimeError, ValueError) as error:
+            reset_error()
+            raise RosError(f"{name} cannot be mirrored: {reason_of(error)}") from error
+
+    def remove_mirror(self, name: str) -> None:
+        """End a node of `add_mirror`. The graph has it until its endpoints are freed."""
+        if (node := self._mirrored.pop(name, None)) is not None:
+            with self._entities:
+                node.destroy()
 
     def ends_of(self, node: str) -> NodeEnds:
         """The names that a node uses."""
@@ -162,11 +203,11 @@ class Participant:
 
     def servers(self, service: str) -> list[Endpoint]:
         """The servers of a service, our own left out."""
-        return [each for each in servers_in_graph(self._ask_dds, service) if each.node != self._name]
+        return self._not_own(servers_in_graph(self._ask_dds, service))
 
     def callers(self, service: str) -> list[Endpoint]:
         """The clients of a service, our own left out."""
-        return [each for each in callers_in_graph(self._ask_dds, service) if each.node != self._name]
+        return self._not_own(callers_in_graph(self._ask_dds, service))
 
     def ask_description(
         self, node: str, type_name: str, type_hash: str, still_wanted: Callable[[], bool]
@@ -183,9 +224,12 @@ class Participant:
             raise RosError(f"{node} cannot be asked: {reason_of(error)}") from error
 
     def create_reader(
-        self, spec: TopicSpec, numbers: PublicationNumbers | None = None, *, express: bool = False
+        self, spec: TopicSpec, numbers: PublicationNumbers | None = None, *, express: bool = False, node: str = ""
     ) -> Reader:
         """Create a raw subscription.
+
+        Args:
+            node: the mirrored node that has it, here and below; our own one without it, or if there is none.
 
         Raises:
             RosError: the type, the name or the QoS will not do.
@@ -198,11 +242,11 @@ class Participant:
             # Fast DDS tells only the first of a participant's readers with the same lease who is alive.
             lease += next(self._lease_numbers) % _DIFFERENT_LEASES * 1e-6
             qos = msgspec.structs.replace(qos, liveliness_lease_duration=lease)
-        handle = self._create("subscription", spec.topic, borrow_type(spec.type_name, spec.type_hash), qos)
+        handle = self._create("subscription", spec.topic, borrow_type(spec.type_name, spec.type_hash), qos, node)
         liveliness = LivelinessOfPublishers(handle.rclpy) if lease else None
         return Reader(handle, self._buffer, earlier, numbers, liveliness, express=express)
 
-    def create_writer(self, spec: TopicSpec) -> Writer:
+    def create_writer(self, spec: TopicSpec, node: str = "") -> Writer:
         """Create a raw publisher; errors as `create_reader`.
 
         One that keeps all would make its caller wait 100 ms a message once a slow reader has fallen a whole history
@@ -215,13 +259,17 @@ class Participant:
             if self._own_profiles and qos.reliability == "reliable" and (qos.latched or qos.depth < _DEEP):
                 _be_prompt(topic)
             borrowed = borrow_type(type_name, type_hash)
-            handle = self._create("publisher", topic, borrowed, qos)
-        return Writer(handle, borrowed.interface)
+            handle = self._create("publisher", topic, borrowed, qos, node)
+        writer = Writer(handle, borrowed.interface)
+        self._bridges.know(writer.gid, self._name)
+        return writer
 
-    def create_server(self, service: str, type_name: str, type_hash: str) -> RawServiceServer | TypedServer:
+    def create_server(
+        self, service: str, type_name: str, type_hash: str, node: str = ""
+    ) -> RawServiceServer | TypedServer:
         """Create a raw service; errors as `create_reader`."""
         borrowed = borrow_service(type_name, type_hash)
-        handle = self._create("service", service, borrowed.type, _CALLS)
+        handle = self._create("service", service, borrowed.type, _CALLS, node)
         name: str = handle.rclpy.name
         if not borrowed.raw:
             return TypedServer(handle, name, borrowed.type.interface)
@@ -268,16 +316,17 @@ class Participant:
         self._late[server] = None
         self.wake()
 
-    def _create(self, kind: Kind, name: str, borrowed: BorrowedType, qos: Qos) -> Handle:
+    def _create(self, kind: Kind, name: str, borrowed: BorrowedType, qos: Qos, node: str = "") -> Handle:
         with ExitStack() as failed, self._entities:
             failed.callback(borrowed.give_back)
-            handle = Handle(self._create_of(kind, name, borrowed.interface, qos), borrowed.give_back, self._entities)
+            made = self._create_of(self._mirrored.get(node, self._node), kind, name, borrowed.interface, qos)
+            handle = Handle(made, borrowed.give_back, self._entities)
             failed.pop_all()
         return handle
 
-    def _create_of(self, kind: Kind, name: str, interface: type, qos: Qos) -> Entity:
+    def _create_of(self, node: OwnNode, kind: Kind, name: str, interface: type, qos: Qos) -> Entity:
         try:
-            return self._node.create(kind, interface, name, qos)
+            return node.create(kind, interface, name, qos)
         except ValueError as error:
             reset_error()  # rclpy leaves it set, and rcl then writes to the terminal
             noun = "service" if kind in {"service", "client"} else "topic"
@@ -294,7 +343,15 @@ class Participant:
         return ask(question, self._node.handle, *arguments, mangled)  # names as DDS has them, or as ROS
 
     def _others(self, infos: list[dict[str, Any]]) -> list[Endpoint]:
-        return [end for info in infos if (end := endpoint_of(info)).node != self._name]
+        return self._not_own(map(endpoint_of, infos))
+
+    def _not_own(self, endpoints: Iterable[Endpoint]) -> list[Endpoint]:
+        """Leave out our own endpoints; those of other bridges get their own nodes' names."""
+        owned = map(self._bridges.owned, endpoints)
+        return [each for each in owned if each.node != self._name]
+
+    def _announcers(self) -> list[Endpoint]:
+        return [endpoint_of(info) for info in self._ask(PUBLISHERS, ANNOUNCEMENT_TOPIC)]
 
 
 def _be_prompt(topic: str) -> None:

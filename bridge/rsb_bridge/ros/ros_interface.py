@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Final, Literal, NamedTuple, Protocol
 
 from rsb_bridge.model.wording import Wording
 
@@ -48,6 +48,8 @@ class RosProblem(Wording):
     NOTHING_GIVEN = "DDS announces messages and gives none, by a fault of the middleware (docs/support.md)"
     ARRIVALS_NOT_TOLD = "DDS does not tell of messages that come (rcl error {code})"
     CLOSED = "the publisher is closed"
+    NO_MIRROR_SECURED = "nodes cannot be mirrored in a secured domain (ROS_SECURITY_ENABLE)"
+    NO_MIRROR_MIDDLEWARE = "nodes are mirrored with rmw_fastrtps_cpp and rmw_cyclonedds_cpp, and ROS uses {middleware}"
     NO_STRINGS = "std_msgs is not installed: install {package}"
     LACKS = (
         "{distribution} lacks {name}, or has it in another form than this rsb-console knows: update rsb-console, or "
@@ -145,6 +147,19 @@ class Endpoint(NamedTuple):
     def has_foreign_key(self) -> bool:
         """Whether its type has a key, and its DDS is not Fast DDS."""
         return self.has_key and self.gid[:2] != _FAST_DDS
+
+
+class EndPlace(NamedTuple):
+    """An endpoint of ours, or several that may follow one another, by which a mirrored node has it.
+
+    Attributes:
+        name: of a topic or a service.
+        origin: as of `RouteEnds.subscribe`, or None for a service.
+    """
+
+    kind: Literal["publisher", "subscription", "service"]
+    name: str
+    origin: Hashable = None
 
 
 class NodeEnds(NamedTuple):
@@ -347,6 +362,38 @@ class RouteEnds(Protocol):
         """Create a raw publisher; types and errors as `subscribe`."""
 
 
+class Mirroring(Protocol):
+    """Nodes of this bridge that stand here for nodes of another domain. May be used from any thread."""
+
+    def by_others(self) -> dict[str, str]:
+        """Return the full names of the nodes that other bridges mirror here, each with the full name of its bridge."""
+
+    def add(self, node: str) -> None:
+        """Have a node of that full name stand here, without endpoints at first.
+
+        The caller has looked whether there is one: ROS takes a second one.
+
+        Raises:
+            RosError: ROS refuses the name, or nodes cannot be mirrored here.
+        """
+
+    def remove(self, node: str) -> None:
+        """End a node of `add`; nothing happens without one. Others see it until its endpoints have been closed.
+
+        Raises:
+            RosError: the bridge's own node is not running.
+        """
+
+    def place(self, end: EndPlace, node: str) -> None:
+        """Have endpoints that are made from now on belong to a node of `add`, or to our own if `node` is empty.
+
+        They belong to our own, too, while there is no such node. `RosInterface` shows all as our own node's.
+        """
+
+    def node_of(self, end: EndPlace) -> str:
+        """Return the node that `place` has set, or an empty string."""
+
+
 class RosInterface(RouteEnds, Protocol):
     """One domain's ROS graph, and our node in it. Every method may be called from any thread.
 
@@ -356,6 +403,7 @@ class RosInterface(RouteEnds, Protocol):
         turns: of the thread that drains subscriptions.
         shortfalls: what does not work with this ROS, in an operator's words; known once it has started.
         discovery: how nodes find each other here.
+        mirrors: the nodes of other domains that stand here.
     """
 
     instance_id: str
@@ -363,6 +411,7 @@ class RosInterface(RouteEnds, Protocol):
     turns: RosTurns
     shortfalls: tuple[str, ...]
     discovery: Discovery
+    mirrors: Mirroring
 
     def start(self) -> None:
         """Join the domain and start the thread that drains subscriptions.
@@ -390,7 +439,10 @@ class RosInterface(RouteEnds, Protocol):
         """Close every endpoint, leave the domain, end the thread. May be called twice."""
 
     def node_names(self) -> list[str]:
-        """Return the full name of every node but our own, once for each node of a name that several have."""
+        """Return the full name of every node but our own, once for each node of a name that several have.
+
+        Nodes that a bridge mirrors are left out, another bridge's too.
+        """
 
     def ends_of(self, node: str) -> NodeEnds:
         """Return what a node uses, by its full name: nothing once it has gone."""

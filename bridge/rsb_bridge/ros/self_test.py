@@ -122,7 +122,7 @@ class Findings(NamedTuple):
         no_arrivals: the reason why a wait set finds what has come (`rsb_bridge.ros.arrivals`), or an empty string.
     """
 
-    node: Callable[[str, Context], OwnNode]
+    node: type[OwnNode]
     middleware: str
     public_only: str = ""
     no_messages: str = ""
@@ -165,7 +165,7 @@ _testing = threading.Lock()
 _findings = cache(test)
 
 
-def _found(node: Callable[[str, Context], OwnNode], context: Context) -> Findings:
+def _found(node: type[OwnNode], context: Context) -> Findings:
     middleware, string = get_rmw_implementation_identifier(), installed_class(STRING)
     if string is None:  # nothing to test with, and nothing to make other types of
         reason = RosProblem.NO_STRINGS(package=package_of("std_msgs"))
@@ -216,7 +216,7 @@ def _why_not(
     return ""
 
 
-def _no_arrivals(node: Callable[[str, Context], OwnNode], context: Context, string: type) -> str:
+def _no_arrivals(node: type[OwnNode], context: Context, string: type) -> str:
     try:
         _try(node, context, _arrivals_are_told, string)
     except (RosError, _DiffersError) as error:
@@ -227,7 +227,7 @@ def _no_arrivals(node: Callable[[str, Context], OwnNode], context: Context, stri
 
 
 def _try(
-    node: Callable[[str, Context], OwnNode],
+    node: type[OwnNode],
     context: Context,
     test: Callable[[_Endpoints, type], None],
     interface: type,

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.fates import Fates
     from rsb_bridge.model.snapshot import RouteSnapshot, Stage
     from rsb_bridge.model.verdict import Verdict
-    from rsb_bridge.ros.ros_interface import Endpoint
+    from rsb_bridge.ros.ros_interface import EndPlace, Endpoint
     from rsb_bridge.route.crossing import Crossing
     from rsb_bridge.route.idling import Signs
     from rsb_bridge.route.notices import ChannelLosses
@@ -194,6 +194,23 @@ class Half(Protocol):
 
     def restart_measuring(self) -> None:
         """Restart all measurements over time: messages may cross from now on, or no longer."""
+
+    # --- its ends in ROS, where nodes of the other side are mirrored
+
+    @property
+    def places(self) -> Sequence[EndPlace]:
+        """What a node of the other side's has there, and this side in its place."""
+
+    @property
+    def nodes_there(self) -> Sequence[str]:
+        """Some of the nodes on the other side that have it, as far as they are known."""
+
+    def move(self) -> bool:
+        """Make its ends in ROS again, as they belong to other nodes now (`Mirroring.place`), where there are any.
+
+        Returns:
+            Whether it could: what callers still wait for an answer of stays.
+        """
 
     # --- messages and reports
 

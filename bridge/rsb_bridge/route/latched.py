@@ -171,6 +171,24 @@ class LatchedTopic:
     def has_kept(self) -> bool:
         return any(history.newest for history in self._histories.values())
 
+    def move(self) -> bool:
+        """Have a publisher that belongs to another node, unless messages are kept: only the sender can repeat them.
+
+        Raises:
+            RosError, LatchedFullError: there can be none.
+        """
+        if self.has_kept:
+            return False
+        if self._spare is not None:
+            former, self._spare = self._spare, None
+            try:
+                self._spare = self._output(former.depth)
+            except (RosError, LatchedFullError):
+                self._spare = former
+                raise
+            self._retire([former])
+        return True
+
     def close(self) -> None:
         if self._timer is not None:
             self._timer.cancel()

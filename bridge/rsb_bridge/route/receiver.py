@@ -16,7 +16,7 @@ from rsb_bridge.model.snapshot import Level, State
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.distribution import package_of
-from rsb_bridge.ros.ros_interface import RosError, TopicSpec
+from rsb_bridge.ros.ros_interface import EndPlace, RosError, TopicSpec
 from rsb_bridge.route.arming import without_history
 from rsb_bridge.route.combined_verdict import lasting, record_of
 from rsb_bridge.route.half import Carried
@@ -128,6 +128,8 @@ class Receiver:
         elif first:
             # A new opening numbers its sources from 0. What late joiners get stays with its source.
             self.outputs.renumber(description.sources)
+        if not self.outputs:
+            self.route.context.place(self.route, description.nodes)
         # The sender leaves the history out, too; here nothing depends on its word.
         qos = without_history(description.qos) if self.route.arming.required else description.qos
         spec = TopicSpec(self.route.remote_topic, description.type, description.type_hash, bounded(qos))
@@ -221,6 +223,26 @@ class Receiver:
         route_id = self.route.id
         self.route.refuse(EventCode.ROUTE_TYPE_DIFFERS, Reason(reason))
         self.route.peer.send(Refuse(route=route_id, code="type_differs", reason=sanitize_text(reason)))
+
+    @property
+    def places(self) -> Sequence[EndPlace]:
+        return (EndPlace("publisher", self.route.remote_topic, self.route.peer.name),)
+
+    @property
+    def nodes_there(self) -> Sequence[str]:
+        return () if self.facts.report_now is None else self.facts.report_now.nodes
+
+    def move(self) -> bool:
+        try:
+            repeated = not self.outputs.move()
+        except (RosError, LatchedFullError) as error:
+            self.route.notices.message_error(EventCode.ROUTE_PUBLISH_FAILED, str(error))
+            return True
+        if repeated:
+            self.outputs.close()
+            text = "its publisher belongs to another node now: what is latched is sent again"
+            self.route.request_reopen(EventCode.ROUTE_MOVED, text, Level.INFO)
+        return True
 
     def disarm(self) -> None:
         """Close the publishers, and with them the messages that they hold for slow subscribers.

@@ -16,7 +16,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.publication_numbers import Untaken
-from rsb_bridge.ros.ros_interface import RosError, TopicSpec
+from rsb_bridge.ros.ros_interface import EndPlace, RosError, TopicSpec
 from rsb_bridge.route.arming import without_history
 from rsb_bridge.route.catching_up import LATE, Backlog
 from rsb_bridge.route.combined_verdict import lasting, record_of
@@ -184,7 +184,7 @@ class Sender:
         self.flow.end.log_other(self.carried.type_name)
         self.loop_filter.table.described()
         self._told = None  # the peer may have new outputs
-        self.route.peer.send(described)
+        self.route.peer.send(msgspec.structs.replace(described, nodes=self.resolver.publisher_nodes))
 
     def _resolve(self) -> Describe | None:
         """Return the description to send, or None if type or QoS is unknown."""
@@ -247,6 +247,18 @@ class Sender:
         self.counts.lose("disarmed", self.loop_filter.forget())
         self.counts.drop("disarmed", self.path.clear())
         self.counts.disarmed()
+
+    @property
+    def places(self) -> Sequence[EndPlace]:
+        return (EndPlace("subscription", self.route.topic, self.route.peer.name),)
+
+    @property
+    def nodes_there(self) -> Sequence[str]:
+        return self.flow.audience.nodes
+
+    def move(self) -> bool:
+        self.subscription.move()
+        return True
 
     def open(self) -> None:
         self._forget_reports()

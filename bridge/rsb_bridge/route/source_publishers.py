@@ -101,6 +101,7 @@ class VolatileTopic:
         self._unacknowledged_since: float | None = None
         self._successor: Publisher | None = None
         self._successor_since = 0.0
+        self._moves = False  # whether it takes over in any case
         self._waiting: deque[int] = deque()  # sizes of the memory of messages that may not be acknowledged yet
         self._free: list[int] = []  # of memory that DDS uses next: the block that it freed last comes first
         self._held = self._charged = 0
@@ -185,6 +186,22 @@ class VolatileTopic:
             self._begin_anew(self._renew)
             self._reserve(size, 0)
 
+    def move(self) -> bool:
+        """Have a publisher that belongs to another node, once subscriptions have found that one.
+
+        Raises:
+            RosError: there can be none.
+        """
+        if self._renew is not None:
+            self._drop_successor()
+            self._successor, self._successor_since, self._moves = self._renew(self._depth), self._now(), True
+        return True
+
+    def settle(self) -> None:
+        """Have a publisher of `move` take over, if subscriptions have found it, or had the time to."""
+        if self._moves:
+            self._look_at_successor()
+
     def close(self) -> None:
         """Close the publisher, which frees its memory. May be called twice."""
         self._publisher.close()
@@ -195,7 +212,7 @@ class VolatileTopic:
         """Replace the publisher once the subscriptions have found the new one, unless they have caught up."""
         assert self._successor is not None
         self._recycle()
-        if self._unacknowledged_since is None:
+        if self._unacknowledged_since is None and not self._moves:
             self._drop_successor()
         elif (
             self._successor.subscriber_count >= self._publisher.subscriber_count
@@ -205,6 +222,7 @@ class VolatileTopic:
             self._begin_anew(self._renew)
 
     def _drop_successor(self) -> None:
+        self._moves = False
         if self._successor is not None:
             self._successor.close()
             self._successor = None
@@ -214,7 +232,9 @@ class VolatileTopic:
         successor, self._successor = self._successor, None
         # If there can be no other publisher, this raises, and the former one stays.
         former, self._publisher = self._publisher, successor or renew(self._lasting_depth)
-        self._depth, self._unacknowledged_since = self._lasting_depth, None
+        if not self._moves:
+            self._depth = self._lasting_depth
+        self._moves, self._unacknowledged_since = False, None
         former.close()
         self._forget_memory()
 
@@ -442,6 +462,23 @@ class SourcePublishers:
     @property
     def subscriber_count(self) -> int:
         return max((sink.subscriber_count for sink in self.sinks), default=0)
+
+    def move(self) -> bool:
+        """Have publishers that belong to another node; return whether the sender does not have to repeat anything.
+
+        Raises:
+            RosError: there can be none.
+            LatchedFullError: the link's latched topics keep too much.
+        """
+        moved = [sink.move() for sink in self.sinks]
+        # Without a message, nothing else looks.
+        self._route.context.loop.call_later(_MATCHED_WITHIN, self._settle)
+        return all(moved)
+
+    def _settle(self) -> None:
+        for sink in self.sinks:
+            if isinstance(sink, VolatileTopic):
+                sink.settle()
 
     @property
     def refuses(self) -> bool:

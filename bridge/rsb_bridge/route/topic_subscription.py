@@ -154,6 +154,12 @@ class TopicSubscription:
             self.numbers.gap = Untaken.UNSUBSCRIBED
             self._subscription.renew()
 
+    def move(self) -> None:
+        """Subscribe again at once, by another node; what is published until DDS has matched it counts as left out."""
+        if self.receives and self._subscription is not None:
+            self.numbers.gap = Untaken.UNSUBSCRIBED
+            self._subscription.reopen()
+
     def close(self) -> int:
         """End the opening, drop the messages that the histories hold, and return their number."""
         self._receiver.offer = self._path.too_late  # they may be older than what arms the next opening

@@ -181,6 +181,7 @@ class Describe(ControlMessageBase, frozen=True):
     """Each gets a publisher, by its number. Described again, there may be more of them, never fewer."""
     keyed: bool = False
     """Whether the type has a key, as the kind of a publisher tells: only a side that has the type can publish it."""
+    nodes: NodeNames = ()  # some of the nodes that publish the topic
 
     def __post_init__(self) -> None:
         check_qos(self.qos)

@@ -94,6 +94,11 @@ class LinkNodes(Extension):
         if not self._at[0]:
             await self._ask()
 
+    def keep_looking(self) -> bool:
+        """Look for some seconds more, without waiting; return whether the peer shows its nodes, as far as is known."""
+        self._looked_until = self._link.context.now() + LOOKED_FOR
+        return self._peer_has and not self.book.why_not
+
     async def one(self, node: str, topic: str) -> NodeDetails:
         """Return the details of one of the peer's nodes, or of the one that publishes a topic.
 

@@ -81,6 +81,19 @@ def _name_of(question: Question) -> str:
     return _name_of(question.args[0]) if isinstance(question, partial) else question.__name__
 
 
+def nodes_of(node: Any) -> list[tuple[str, str]]:
+    """Return the full name of each node of the graph, and the enclave of its context.
+
+    Args:
+        node: the extension module's object that asks.
+
+    Raises:
+        RosError: rcl can't answer.
+    """
+    found = ask(node.get_node_names_and_namespaces_with_enclaves)
+    return [(f"{namespace.rstrip('/')}/{name}", enclave) for name, namespace, enclave in found]
+
+
 def names_of_node(node: Any, name: str, namespace: str) -> list[list[tuple[str, list[str]]]]:
     """Return the names, with types, that a node publishes, hears, serves and calls, or none of a node that has gone.
 
@@ -162,9 +175,9 @@ class ExtensionNode:
         RuntimeError: rcl refused it.
     """
 
-    def __init__(self, name: str, context: Context) -> None:
+    def __init__(self, name: str, context: Context, namespace: str = "/") -> None:
         # No ROS arguments, the process's do not count, and nothing is logged to /rosout.
-        arguments: tuple[Any, ...] = (name, "/", context.handle, [], False, False)
+        arguments: tuple[Any, ...] = (name, namespace, context.handle, [], False, False)
         try:
             self.handle = _node(*arguments)
         except TypeError:  # from Kilted on, with the QoS of rosout
@@ -198,12 +211,13 @@ class PublicNode:
         RuntimeError: rcl refused it.
     """
 
-    def __init__(self, name: str, context: Context) -> None:
+    def __init__(self, name: str, context: Context, namespace: str = "/") -> None:
         from rclpy.node import Node  # noqa: PLC0415  3 MB, which nobody needs where `ExtensionNode` works
         from rclpy.parameter import Parameter  # noqa: PLC0415
 
         self._node = node = Node(
             name,
+            namespace=namespace,
             context=context,
             cli_args=[],
             use_global_arguments=False,

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, ClassVar
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.verdict import Cause
+from rsb_bridge.ros.ros_interface import EndPlace
 from rsb_bridge.route.calls.action_goals import CallerGoals
 from rsb_bridge.route.calls.asked_calls import AskedCalls, CallerKind
 from rsb_bridge.route.calls.calls_flow import CallsFlow
@@ -20,6 +21,8 @@ from rsb_bridge.route.calls.node_parameters import CallerParameters
 from rsb_bridge.route.calls.service_offer import ServiceOffer
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from rsb_bridge.route.crossing import Crossing
     from rsb_bridge.route.route import Route
     from rsb_bridge.wire.messages import Provide
@@ -46,6 +49,23 @@ class Caller(CallsHalf):
         calls = AskedCalls(flow, types, _KINDS[route.proposal.kind])
         self.offer = ServiceOffer(flow, types, calls)
         super().__init__(flow, types, calls, self.offer, messages=self.offer)
+
+    @property
+    def places(self) -> Sequence[EndPlace]:
+        """Return those of all lanes but topics that several nodes publish."""
+        route = self.route
+        return [
+            EndPlace("publisher", name, route.peer.name) if each.is_topic else EndPlace("service", name)
+            for each in self.flow.members
+            if not each.absolute and (name := each.name_on(route.local_topic))
+        ]
+
+    @property
+    def nodes_there(self) -> Sequence[str]:
+        return self.offer.provided.nodes
+
+    def move(self) -> bool:
+        return self.offer.move()
 
     def provided(self, provide: Provide) -> None:
         """Take the providing side's list of what can be called."""

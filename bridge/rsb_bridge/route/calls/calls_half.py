@@ -21,6 +21,7 @@ from rsb_bridge.wire.records import CallsReport
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from rsb_bridge.ros.ros_interface import EndPlace
     from rsb_bridge.route.calls.asked_calls import AskedCalls, CallerKind
     from rsb_bridge.route.calls.call_frames import TakesFrames
     from rsb_bridge.route.calls.calls_end import CallsEnd
@@ -77,6 +78,17 @@ class CallsHalf:
         if self.carried.channel is None:
             self.route.peer.open_channel(self.route)
         self._end.proceed()
+
+    @property
+    def places(self) -> Sequence[EndPlace]:
+        return ()
+
+    @property
+    def nodes_there(self) -> Sequence[str]:
+        return ()
+
+    def move(self) -> bool:
+        return True
 
     def open(self) -> None:
         self._last_report = self.types.last_malformed = None

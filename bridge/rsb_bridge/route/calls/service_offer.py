@@ -145,6 +145,8 @@ class ServiceOffer:
         if why := _why_unacceptable(provide, self._flow.members, self._route.proposal.type):
             return why
         had_server, self.provided = self.has_servers, provide
+        if not self.lanes.services:
+            self._route.context.place(self._route, provide.nodes)
         if had_server and not self.has_servers:
             self.calls.kind.server_gone()
         return ""
@@ -259,6 +261,14 @@ class ServiceOffer:
             self.withdraw()
             self._log(was_offered)
         self.calls.give_up("it is no longer offered")
+
+    def move(self) -> bool:
+        """Offer it again by another node, unless callers wait for an answer; return whether that was done."""
+        if self._owed():
+            return False
+        self.lanes.close()
+        self._route.advance()
+        return True
 
     def withdraw(self) -> None:
         """Close everything by which callers see that it can be reached."""
