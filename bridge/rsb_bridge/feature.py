@@ -31,6 +31,7 @@ BRINGS: Mapping[str, str] = {
     **dict.fromkeys(("hear_rosout", "show_nodes"), "nodes"),
     **dict.fromkeys(("diagnostics_topic", "driver_topic", "metrics", "on_fault"), "exporters"),
     "record": "recording",
+    **dict.fromkeys(("frame_prefix", "restamp", "restamp_within"), "frames"),
     "units": "units",
     "zenoh": "zenoh",
 }

@@ -29,6 +29,7 @@ BEYOND = {
     "driving": 55,
     "exporters": 24,
     "fleet": 70,
+    "frames": 14,
     "history": 14,
     "imports": 39,
     "machine_state": 1,
