@@ -42,8 +42,8 @@ BRINGS_TRANSPORTS: Mapping[str, str] = {"zenoh": "zenoh", "zenoh-drop": "zenoh"}
 """The same of transports."""
 BRINGS_COMMANDS: Mapping[str, str] = {
     "audit": "audit", "bench": "bench", "demo": "demo", "doctor": "doctor", "fleet": "fleet", "import": "imports",
-    "look": "pictures", "nodes": "nodes", "pub": "driving", "record": "recording", "report": "history",
-    "service": "service", "units": "units",
+    "look": "pictures", "mcp": "mcp_server", "nodes": "nodes", "pub": "driving", "record": "recording",
+    "report": "history", "service": "service", "units": "units",
 }  # fmt: skip
 """The same of subcommands."""
 BRINGS_ACTIONS: Mapping[str, str] = {

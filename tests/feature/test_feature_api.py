@@ -33,6 +33,7 @@ BEYOND = {
     "history": 14,
     "imports": 39,
     "machine_state": 1,
+    "mcp_server": 2,
     "nodes": 14,
     "operators": 24,
     "own_commands": 7,
