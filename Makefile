@@ -7,7 +7,7 @@ STAMP := $(VENV)/.installed
 comma := ,
 # A sourced ROS brings its own rclpy on PYTHONPATH; elsewhere ROS 2 Jazzy comes as wheels.
 ROS_EXTRAS := $(if $(ROS_DISTRO),,$(if $(filter x86_64,$(shell uname -m)),ros$(comma)ros-test$(comma)))
-EXTRAS := $(ROS_EXTRAS)zenoh$(comma)metrics$(comma)look$(comma)record$(comma)dev
+EXTRAS := $(ROS_EXTRAS)zenoh$(comma)metrics$(comma)look$(comma)record$(comma)mcp$(comma)dev
 
 # Children by the hundred start sooner with bytecode, and nothing that runs from here leaves this machine.
 unexport PYTHONDONTWRITEBYTECODE

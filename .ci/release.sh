@@ -41,7 +41,7 @@ lock() {
   locked run "${all[@]}"
   locked fleet "${all[@]}" --extra zenoh --extra metrics
   locked ros "${all[@]}" --extra ros --extra zenoh --extra metrics --extra look --extra record
-  locked dev "${all[@]}" --extra ros --extra ros-test --extra zenoh --extra metrics --extra look --extra record --extra dev
+  locked dev "${all[@]}" --extra ros --extra ros-test --extra zenoh --extra metrics --extra look --extra record --extra mcp --extra dev
 }
 
 "$1"

@@ -33,6 +33,7 @@ BRINGS: Mapping[str, str] = {
     **dict.fromkeys(("hear_rosout", "show_nodes"), "nodes"),
     **dict.fromkeys(("diagnostics_topic", "driver_topic", "metrics", "on_fault"), "exporters"),
     "record": "recording",
+    **dict.fromkeys(("frame_prefix", "restamp", "restamp_within"), "frames"),
     "units": "units",
     "zenoh": "zenoh",
 }
@@ -43,7 +44,8 @@ BRINGS_TRANSPORTS: Mapping[str, str] = {"zenoh": "zenoh", "zenoh-drop": "zenoh"}
 """The same of transports."""
 BRINGS_COMMANDS: Mapping[str, str] = {
     "audit": "audit", "bench": "bench", "demo": "demo", "doctor": "doctor", "fleet": "fleet", "import": "imports",
-    "lifecycle": "node_control", "look": "pictures", "nodes": "nodes", "pub": "driving", "record": "recording",
+    "lifecycle": "node_control", "look": "pictures", "mcp": "mcp_server", "nodes": "nodes", "pub": "driving",
+    "record": "recording",
     "report": "history", "service": "service", "units": "units",
 }  # fmt: skip
 """The same of subcommands."""

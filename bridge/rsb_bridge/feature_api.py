@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.wording import Wording
     from rsb_bridge.ros.internal_ends import BytesDrain, BytesSource
     from rsb_bridge.ros.ros_interface import Endpoint, Publisher, RawMessage, RosError, TopicSpec
+    from rsb_bridge.route.message_transform import MessageTransform, TransformError
     from rsb_bridge.route.peeking import Tap
     from rsb_bridge.route.receiver import Receiver
     from rsb_bridge.route.route import Route
@@ -94,6 +95,7 @@ _NAMES = {
     "rsb_bridge.model.wording": ("Wording",),
     "rsb_bridge.ros.internal_ends": ("BytesDrain", "BytesSource"),
     "rsb_bridge.ros.ros_interface": ("Endpoint", "Publisher", "RawMessage", "RosError", "TopicSpec"),
+    "rsb_bridge.route.message_transform": ("MessageTransform", "TransformError"),
     "rsb_bridge.route.peeking": ("Tap",),
     "rsb_bridge.route.receiver": ("Receiver",),
     "rsb_bridge.route.route": ("Route",),

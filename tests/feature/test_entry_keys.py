@@ -60,7 +60,7 @@ FEATURE = Many()
 _FOUND = """
 from rsb_bridge.installed_features import feature_faults
 from rsb_bridge.model.topic_keys import ADDED_KEYS
-print(len(ADDED_KEYS), *feature_faults())
+print(sum(name.startswith("key_") for name in ADDED_KEYS), *feature_faults())
 """
 
 

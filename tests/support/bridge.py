@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from tests.support.relay import Relay
 
     from rsb_bridge.api import EngineApi
+    from rsb_bridge.model.clock import Clock
     from rsb_bridge.model.snapshot import Event, Ledger, LinkSnapshot, Reloaded, RouteSnapshot, Snapshot
     from rsb_bridge.model.transports import Protocol
     from rsb_bridge.model.wording import Wording
@@ -115,9 +116,9 @@ class Bridge:
         eventually(lambda: linked(client) and linked(server), what="linked")
         return server, client
 
-    def start(self, session: Session, ros: RosInterface | None = None) -> Engine:
+    def start(self, session: Session, ros: RosInterface | None = None, clock: Clock | None = None) -> Engine:
         known = KnownNode(session.domain_id or 0, session.name)
-        engine = Engine(session, base=self.folder, ros=ros or known)
+        engine = Engine(session, base=self.folder, ros=ros or known, clock=clock)
         self._engines.append(engine)
         self.started.add(engine)
         engine.start()

@@ -84,6 +84,7 @@ class FakePeer:
     suspended_since = None
     verdicts: Any = None
     explain: Any = None
+    transforms: Any = None
     connections = 1
 
     def __init__(self) -> None:

@@ -12,15 +12,17 @@ from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import is_clean, sanitize_text
 from rsb_bridge.model.verdict import Verdict
 from rsb_bridge.model.wording import Wording
+from rsb_bridge.route.message_transform import FailedTransform
 from rsb_bridge.tasks import in_slices
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Mapping
+    from collections.abc import Awaitable, Callable, Collection, Iterable, Mapping
 
     from rsb_bridge.channel.data_keys import Meter
     from rsb_bridge.config.rights import DeniedUse, Rights
     from rsb_bridge.link.control_channel import Slices
     from rsb_bridge.model.purposes import Purpose
+    from rsb_bridge.route.message_transform import FoundTransforms, MessageTransform, Transforms
     from rsb_bridge.route.route import Route
     from rsb_bridge.wire.records import RefuseCode
 
@@ -40,12 +42,16 @@ class Extension:
         explanation: returns the core's verdict on one of its routes with more in its text, or None if it knows nothing
             more. State and cause stay as they are. It is asked when `verdict` is, of what is not fine. None if it never
             knows more.
+        transform: returns None at once if the messages of a topic that comes in stay as they are, or work that finds
+            what changes them, if anything does. It is asked in each opening once the topic's type is known, whose first
+            messages wait for the answer, and again after `Receiver.choose_transforms`. None if it changes nothing.
     """
 
     feature: str = ""
     messages: Mapping[type, Callable[[Any], Slices | None]] = {}
     purpose: Purpose | None = None
     explanation: Callable[[Any, Verdict], Verdict | None] | None = None
+    transform: Callable[[Any], Awaitable[MessageTransform | None] | None] | None = None
 
     def connected(self) -> None:
         """Begin an association: the peer is authenticated."""
@@ -113,6 +119,7 @@ class Extensions:
         self._showing_routes: list[Extension] = []
         self.judging: list[Extension] = []  # of features; one whose `verdict` has failed is asked no more
         self.explaining: list[Extension] = []  # the same of `explanation`
+        self.transforming: list[Extension] = []  # of features
         self._told: list[Extension] = []  # of the present connection, if the peer has their feature, too
 
     def add(self, extension: Extension) -> None:
@@ -128,6 +135,8 @@ class Extensions:
             self.judging.append(extension)
         if extension.explanation is not None:
             self.explaining.append(extension)
+        if extension.transform is not None:
+            self.transforming.append(extension)
 
     def find(self, kind: type[_E]) -> _E:
         return next(each for each in self._all if isinstance(each, kind))
@@ -200,11 +209,41 @@ class Extensions:
                 failed(each.feature, "explanation", error)
         return verdict
 
+    def transforms(self, route: Route) -> FoundTransforms | None:
+        """Look for what changes a route's messages; None if nothing does."""
+        asked: list[tuple[str, Awaitable[MessageTransform | None]]] = []
+        for each in self.transforming:
+            try:
+                found = None if each.transform is None else each.transform(route)
+            except Exception as error:  # noqa: BLE001 -- as above
+                found = _failed(each.feature, error)
+            if found is not None:
+                asked.append((each.feature, found))
+        return _found(asked) if asked else None
+
     def route_fields(self, route: Route) -> dict[str, Any]:
         shown: dict[str, Any] = {}
         for each in self._showing_routes:
             shown.update(each.route_fields(route))
         return shown
+
+
+async def _found(asked: Iterable[tuple[str, Awaitable[MessageTransform | None]]]) -> Transforms:
+    found: list[MessageTransform] = []
+    for feature, work in asked:
+        try:
+            transform = await work
+        except Exception as error:  # noqa: BLE001 -- of code that is not ours; its messages are kept back
+            transform = await _failed(feature, error)
+        if transform is not None:
+            transform.feature = feature
+            found.append(transform)
+    return tuple(found)
+
+
+async def _failed(feature: str, error: Exception) -> MessageTransform:
+    failed(feature, "transform", error)
+    return FailedTransform(feature)
 
 
 def _checked(verdict: Verdict, feature: str) -> Verdict:

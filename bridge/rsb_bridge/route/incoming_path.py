@@ -14,6 +14,7 @@ from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import OUTLIVE
 from rsb_bridge.model.qos import AUTO_DEPTH
+from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.route.catching_up import EVERY, LATE, LIVE_WITHIN, CatchUp
@@ -21,6 +22,7 @@ from rsb_bridge.route.gates import NO_SAMPLE, GatedMessage, chained, compose_whe
 from rsb_bridge.route.latched import LatchedFullError, LatchedTopic
 from rsb_bridge.route.ledger import CAUSES
 from rsb_bridge.route.message_check import PUBLISHED_ASIDE, ExpandsTooMuchError, MessageCheck, Unpacker, malformed_text
+from rsb_bridge.route.message_transform import TransformError, changed
 from rsb_bridge.route.peeking import peeked
 from rsb_bridge.route.source_publishers import SlowSubscriberError, SourcePublishers
 from rsb_bridge.wire.framing import HISTORY, LEASED, SOURCE_SHIFT, ZSTD, Message
@@ -28,9 +30,11 @@ from rsb_bridge.wire.headers import PUBLISHER_ID_LENGTH, HistoryHeader, split_hi
 from rsb_bridge.wire.protocol_error import ProtocolError
 
 if TYPE_CHECKING:
+    import asyncio
     from collections.abc import Iterator, Sequence
 
     from rsb_bridge.route.gates import LastLook
+    from rsb_bridge.route.message_transform import FoundTransforms, Transforms
     from rsb_bridge.route.rest_message import RestAfterArming
     from rsb_bridge.route.source_publishers import VolatileTopic
     from rsb_bridge.route.topic_flow import TopicFlow
@@ -40,6 +44,7 @@ REPORTS_AFTER = 100
 unreported messages arrived."""
 _PACKED = HISTORY | LEASED | ZSTD
 """Flags of messages whose payload is more than the content."""
+_CHANGED_OTHERWISE = "its messages are changed in another way from now on"
 _NO_GATES = (None, None, None)
 _NO_HISTORY = HistoryHeader(bytes(PUBLISHER_ID_LENGTH), number=0, depth=AUTO_DEPTH)
 """For messages without a history header: they count as messages of one publisher."""
@@ -53,6 +58,7 @@ _FAILURES: dict[type[Exception], tuple[str, EventCode]] = {
     ExpandsTooMuchError: ("expands too much", EventCode.ROUTE_EXPANDS_TOO_MUCH),
     MalformedError: ("malformed", EventCode.ROUTE_MALFORMED),
     TooComplexError: ("too complex", EventCode.ROUTE_TOO_COMPLEX),
+    TransformError: ("not changed", EventCode.ROUTE_NOT_CHANGED),
     LatchedFullError: ("latched full", EventCode.ROUTE_LATCHED_FULL),
     SlowSubscriberError: ("slow subscriber", EventCode.ROUTE_SLOW_SUBSCRIBER),
     RosError: ("publish failed", EventCode.ROUTE_PUBLISH_FAILED),
@@ -70,6 +76,7 @@ class IncomingPath:
         outputs: the publishers here.
         unpacker: unpacks compressed messages; later ones wait behind one that is not unpacked yet.
         received, delivered, dropped: messages of the present opening, the last ones by cause.
+        transforms: change each message.
         malformed: the field of the last malformed message, and what is wrong with it, or an empty string.
         report_at: messages received at which an early report is sent.
     """
@@ -89,10 +96,48 @@ class IncomingPath:
         self.delivered = 0
         self.dropped: Counter[str] = Counter()
         self.malformed = ""
+        self.transforms: Transforms = ()
+        self._transforms_asked: asyncio.Task[None] | None = None
+        self._awaits_transforms = False
+
+    def choose_transforms(self, *, opens: bool) -> None:
+        """Ask features what changes the messages; until they answer, these stay as before, or wait in a new opening."""
+        self.forget_transforms()
+        asked = None if self.route.peer.transforms is None else self.route.peer.transforms(self.route)
+        if asked is not None:
+            self._awaits_transforms = opens
+            self._transforms_asked = self.route.context.loop.create_task(self._find_transforms(asked))
+        elif self.transforms:
+            self._use_transforms(())
+
+    def forget_transforms(self) -> None:
+        """Await no answer any more: the opening has ended, or they are asked again."""
+        self._awaits_transforms = False
+        if self._transforms_asked is not None:
+            self._transforms_asked.cancel()
+            self._transforms_asked = None
+
+    async def _find_transforms(self, asked: FoundTransforms) -> None:
+        found = await asked
+        self._transforms_asked = None
+        self._use_transforms(found)
+        if self._awaits_transforms:
+            self._awaits_transforms = False
+            self.unpacker.go_on()
+
+    def _use_transforms(self, found: Transforms) -> None:
+        if found == self.transforms:
+            return
+        self.transforms = found
+        self.route.judge_again()
+        # What DDS keeps for late joiners was changed otherwise, and what was kept back does not come again by itself.
+        if self.flow.is_latched and (self.received or self.outputs.has_kept):
+            self.outputs.close()
+            self.route.request_reopen(EventCode.ROUTE_CHANGED_OTHERWISE, _CHANGED_OTHERWISE, Level.INFO)
 
     def deliver(self, messages: Sequence[Message]) -> None:
         """Publish messages that arrived whole and authentic, or let them wait for later turns of the I/O loop."""
-        if self.unpacker.holds:
+        if self.unpacker.holds or self._awaits_transforms:
             self.unpacker.wait(messages)
             return
         batch, began = self._gates[0], self.route.context.now()
@@ -133,6 +178,7 @@ class IncomingPath:
         checker = self.check.checker
         # With a bounded number of lengths, a check takes next to no time, and nothing of the budget: one call less.
         check = None if checker is None else self.check.check if checker.loops else checker.check
+        transforms = self.transforms
         count, size, number, published = 0, 0, 0, b""
         # An iterator, so that `*following` below is the rest after a message that has to wait.
         following = iter(messages)
@@ -160,6 +206,8 @@ class IncomingPath:
                 header, content = self._unpack(payload, flags) if flags & _PACKED else (_NO_HISTORY, payload)
                 if check is not None:
                     check(content)
+                if transforms:
+                    content = changed(content, transforms)
                 if isinstance(sink, LatchedTopic):
                     self._publish_latched(sink, header, content, look, following)
                 elif len(content) > PUBLISHED_ASIDE and self.route.purpose.in_graph:

@@ -63,6 +63,10 @@ LOSSES: dict[str, tuple[Cause, str]] = {
     "latched full": (Cause.NOT_PUBLISHED, "the receiving side keeps no more latched messages for this link"),
     "slow subscriber": (Cause.NOT_PUBLISHED, "a subscriber there does not take its messages: restart it"),
     "malformed": (Cause.NOT_PUBLISHED, "they are malformed: see what publishes them"),
+    "not changed": (
+        Cause.NOT_PUBLISHED,
+        "they cannot be changed as the receiving side's session asks: its log says why",
+    ),
     "too complex": (Cause.NOT_PUBLISHED, "they have more strings and sequences than are checked there: send less"),
     "expands too much": (Cause.NOT_PUBLISHED, "they expand too much there: send less, or without compression"),
 }

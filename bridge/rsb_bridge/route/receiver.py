@@ -107,6 +107,7 @@ class Receiver:
             self.path.received = self.path.delivered = 0
             self.path.report_at = REPORTS_AFTER
             self.path.dropped.clear()
+        self.path.forget_transforms()
         self.path.unpacker.clear()
         self._alive = False
         self.lazy.end()
@@ -147,6 +148,8 @@ class Receiver:
         self.listeners.offered = spec.qos
         self.route.settle_age()
         self.check.begin(description.type)
+        if first and self.route.purpose.in_graph:
+            self.path.choose_transforms(opens=True)
         newest: dict[bytes, int] = {}
         if first:
             newest = self.outputs.opened()
@@ -286,6 +289,7 @@ class Receiver:
         self.outputs.close()
         self.rest.close()
         self.check.end()
+        self.path.forget_transforms()
 
     def resume(self) -> None:
         self._forget_reports()
@@ -308,6 +312,12 @@ class Receiver:
     def configure(self) -> None:
         self.flow.set_stale_after()
         self.check.set()
+        self.choose_transforms()
+
+    def choose_transforms(self) -> None:
+        """Ask features anew what changes the messages of the present opening."""
+        if self.route.life.phase is RoutePhase.READY and self.route.purpose.in_graph:
+            self.path.choose_transforms(opens=False)
 
     def suspend(self) -> None:
         """Nothing waits here."""

@@ -350,6 +350,14 @@ class ReceiverFacts(TopicFacts):
         self.report: SentReport | None = None
         self.report_now: SentReport | None = None
 
+    @property
+    def of_transforms(self) -> Verdict | None:
+        """The first verdict of what changes its messages, or None."""
+        for each in self._path.transforms:
+            if each.verdict is not None and each.verdict.cause.startswith(f"{each.feature}."):
+                return each.verdict
+        return None
+
     def stages(self) -> tuple[Stage, ...]:
         report, peer, path = self.report_now, self.route.judged.peer, self._path
         known, kept = bool(self.carried.type_name), self.has_kept

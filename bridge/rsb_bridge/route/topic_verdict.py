@@ -329,6 +329,10 @@ def _nothing_comes(half: ReceiverFacts, crossing: Crossing) -> Verdict | None:
     return None if since is None else Verdict(State.STALE, Cause.SILENT, f"nothing for {LASTING}", since)
 
 
+def _of_transforms(half: ReceiverFacts, crossing: Crossing) -> Verdict | None:
+    return half.of_transforms if crossing.flows else None
+
+
 def _unreceived(half: ReceiverFacts, crossing: Crossing) -> Verdict | None:
     if crossing is Crossing.RESTING:
         text = no_subscriber(half.route.local_topic, half.route.context.domain, half.flow.audience.deaf)
@@ -457,7 +461,10 @@ OF_SENDER: Rules[SenderFacts] = (
     _shared,
     _unsent,
 )
+
+
 OF_RECEIVER: Rules[ReceiverFacts] = (
+    _of_transforms,
     _nothing_comes,
     _expired,
     _late,
