@@ -630,6 +630,31 @@ def test_newest_is_sent_again_after_a_restart(side: str, after: float) -> None:
         assert world.far.heard.count(b"writer 2 1") == 2
 
 
+@pytest.mark.parametrize("resends", [1, 2, 17])
+def test_new_process_sends_nothing_that_was_sent_again(resends: int) -> None:
+    """The peer knows the newest message under an id that the former process made."""
+    with virtual_loop() as loop:
+        world = World(loop, 1)
+        nodes = KilledBeside(world)
+        for _ in range(resends - 1):
+            world.wait(12.0)
+            nodes.killed = world.near.new_writer(1)
+            world.near.publish(nodes.killed)
+            world.wait(1.0)
+            nodes.killed.answers = False
+            world.near.publish(world.near.new_writer(1))
+            world.wait(1.0)
+            world.near.publish(nodes.successor)
+        world.wait(12.0)
+        assert world.far.heard.count(b"writer 2 %d" % resends) == 2
+        heard = list(world.far.heard)
+        for _ in range(2):
+            world.route.restart_near()
+            world.wait(12.0)
+            assert world.far.heard == heard
+            assert world.far.late_joiner() == world.near_late_joiner()
+
+
 def test_message_that_never_comes_is_not_waited_for_forever() -> None:
     """The far side remembers one that no publisher has any more, and another publisher has never published."""
     with virtual_loop() as loop:
