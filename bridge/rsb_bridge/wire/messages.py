@@ -497,18 +497,19 @@ class Followed(ControlMessageBase, frozen=True):
 
 
 class AskMeant(ConnectionMessage, frozen=True):
-    """Either side asks for a topic of the peer's graph that a pattern may mean. Answered by `MeantTopic`."""
+    """Either side asks for a name of the peer's graph that a pattern may mean. Answered by `MeantName`."""
 
     number: Count  # of this question among its sender's
     pattern: Name  # of names on the asked side; an invalid one means nothing
-    matching: bool = False  # whether a topic that it matches is sought, or else a similar one only
+    kind: Name = "topic"  # of these names; nothing is of an unknown kind
+    matching: bool = False  # whether a name that it matches is sought, or else a similar one only
 
 
-class MeantTopic(ConnectionMessage, frozen=True):
+class MeantName(ConnectionMessage, frozen=True):
     """The answer to `AskMeant`."""
 
     number: Count
-    topic: Name = ""  # that nodes publish there, or empty
+    name: Name = ""  # that nodes publish or provide there, or empty
 
 
 class Lease(ConnectionMessage, frozen=True):
@@ -536,6 +537,6 @@ UrgentMessage: TypeAlias = Lease | Disarm
 ControlMessage: TypeAlias = (
     Propose | Accept | Refuse | Describe | Ready | Publishers | Provide | ByHand | Neighbours | Close | Amend | Edit
     | EditAnswer | Limit | Pause | Arm | Armed | Disarm | AskForArming | AskEnded | Settled | Lease | Ping | Pong
-    | Report | Receipts | ListTopics | TopicList | AskType | TypeText | Follow | Followed | AskMeant | MeantTopic
+    | Report | Receipts | ListTopics | TopicList | AskType | TypeText | Follow | Followed | AskMeant | MeantName
     | Duplicate | Shutdown | Unsaved
 )  # fmt: skip
