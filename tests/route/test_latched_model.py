@@ -74,6 +74,9 @@ class NearDds:
     def installed_hash(self, _: str) -> str:
         return ""
 
+    def survives_foreign_keys(self, _: str) -> bool:
+        return True
+
     def subscribe(self, *arguments: Any, **_: Any) -> NearReader:
         if self.refuses:
             raise RosError("too many subscriptions")
@@ -230,6 +233,13 @@ class FarPublisher:
         self._dds.open.remove(self)
 
 
+class End:
+    """What the sending side's part of a route knows of it; in a set, too."""
+
+    def __init__(self, **parts: Any) -> None:
+        self.__dict__ |= parts
+
+
 class Route:
     """The route between the two: a link that may be cut, and processes that may be restarted."""
 
@@ -250,7 +260,7 @@ class Route:
         return LatchedTopic(self.context.loop, self.far.advertise, self.budget, depth)
 
     def make_subscription(self) -> TopicSubscription:
-        route: Any = SimpleNamespace(
+        route: Any = End(
             context=self.context,
             ends=self.context.ros,
             peer=FakePeer(),
