@@ -20,7 +20,7 @@ from tests.support.ports import free_port
 from tests.support.relay import message_number
 from tests.support.waiting import eventually, holds
 
-from rsb_bridge.model.names import node_of_hop
+from rsb_bridge.model.hops import node_of_hop
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause

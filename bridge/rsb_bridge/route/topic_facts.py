@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 from rsb_bridge.cdr.description import TypeVersion
 from rsb_bridge.model.fates import BEST_EFFORT, RELIABLE
-from rsb_bridge.model.names import expand_type_name
 from rsb_bridge.model.qos import incompatible
 from rsb_bridge.model.snapshot import Ledger, Stage
+from rsb_bridge.model.type_names import expand_type_name
 from rsb_bridge.model.verdict import EXPIRES, LASTING, Cause, LinkCause
 from rsb_bridge.route.blocking_rules import stages_with_link
 from rsb_bridge.route.crossing import Crossing

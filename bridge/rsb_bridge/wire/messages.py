@@ -9,8 +9,8 @@ from msgspec import Meta
 
 from rsb_bridge.model.by_hand import VelocityLimits
 from rsb_bridge.model.calls import MOST_LANES
+from rsb_bridge.model.hops import MOST_SOURCES
 from rsb_bridge.model.keep import Keep
-from rsb_bridge.model.names import MOST_SOURCES
 from rsb_bridge.model.patterns import NAMES_FOLLOWED, PATTERNS_PER_LINK
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.reason import EndCode
