@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from tests.support.relay import Relay
 
 
-pytest_plugins = ("tests.support.lost_workers",)
+pytest_plugins = ("tests.support.left_sockets", "tests.support.lost_workers")
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -12,7 +12,7 @@ from rsb_bridge.feature import late_names
 
 if TYPE_CHECKING:
     from rsb_bridge.api import EngineApi, EngineError, Unable
-    from rsb_bridge.config.files import make_folder, replace_file, typed_path, why_not_written
+    from rsb_bridge.config.files import file_stem, make_folder, replace_file, typed_path, why_not_written
     from rsb_bridge.config.programs import program_path, program_problem, program_warnings
     from rsb_bridge.config.rights import DeniedUse, Rights
     from rsb_bridge.config.session_file import SessionError, load
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.commands import Command, Effect, Right, operator
     from rsb_bridge.model.finding import Check, Finding, Grade
     from rsb_bridge.model.limits import SAFE_DOMAIN, TEXT_LENGTH, Range
-    from rsb_bridge.model.names import file_stem, other_side
+    from rsb_bridge.model.names import other_side
     from rsb_bridge.model.purposes import Purpose
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.robot_summary import RobotState, RobotSummary
@@ -60,7 +60,7 @@ if TYPE_CHECKING:
 
 _NAMES = {
     "rsb_bridge.api": ("EngineApi", "EngineError", "Unable"),
-    "rsb_bridge.config.files": ("make_folder", "replace_file", "typed_path", "why_not_written"),
+    "rsb_bridge.config.files": ("file_stem", "make_folder", "replace_file", "typed_path", "why_not_written"),
     "rsb_bridge.config.programs": ("program_path", "program_problem", "program_warnings"),
     "rsb_bridge.config.rights": ("DeniedUse", "Rights"),
     "rsb_bridge.config.session_file": ("SessionError", "load"),
@@ -83,7 +83,7 @@ _NAMES = {
     "rsb_bridge.model.commands": ("Command", "Effect", "Right", "operator"),
     "rsb_bridge.model.finding": ("Check", "Finding", "Grade"),
     "rsb_bridge.model.limits": ("SAFE_DOMAIN", "TEXT_LENGTH", "Range"),
-    "rsb_bridge.model.names": ("file_stem", "other_side"),
+    "rsb_bridge.model.names": ("other_side",),
     "rsb_bridge.model.purposes": ("Purpose",),
     "rsb_bridge.model.qos": ("Qos",),
     "rsb_bridge.model.robot_summary": ("RobotState", "RobotSummary"),

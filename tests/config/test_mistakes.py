@@ -17,11 +17,12 @@ from rsb_bridge.config.topic_rules import TopicMistake
 from rsb_bridge.config.validation import SessionMistake
 from rsb_bridge.config.yaml_text import FileProblem, YamlMistake
 from rsb_bridge.model.limits import CHANNEL, DEPTH, DOMAIN, OUTLIVE, PACE, PORT, RATE
-from rsb_bridge.model.names import ANNOUNCEMENT_TOPIC, TypeNameProblem
+from rsb_bridge.model.names import ANNOUNCEMENT_TOPIC
 from rsb_bridge.model.qos import QosProblem
 from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.model.topic_keys import RangeText
 from rsb_bridge.model.transports import Protocol
+from rsb_bridge.model.type_names import TypeNameProblem
 from rsb_bridge.model.wording import Wording
 
 CLOSE_TO_LASER_SCAN = " or ".join(

@@ -69,3 +69,24 @@ def test_another_dds_with_key_is_not_subscribed_to(bridge: Bridge, robot: Domain
             eventually(lambda side=side: route(side, "/keyed").cause == Cause.TYPE_CONFLICT)
             assert "publish it with Fast DDS, or a type without a key" in route(side, "/keyed").reason
         assert writer.matched == 0
+
+
+def test_another_dds_with_key_ends_the_subscription(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    """It appears beside a node's publisher, whose messages cross, and cross again once it has gone."""
+    publisher, listener = robot.publisher("/keyed", KeyedString), pc.listener("/keyed", KeyedString)
+    server, client = bridge.both(Topic("/keyed", "transmit"))
+
+    def crosses() -> bool:
+        publisher.publish(KeyedString(key="a", value="b"))
+        return bool(listener.payloads)
+
+    eventually(crosses)
+    with closing(CycloneProgram(robot.id)) as near:
+        writer = near.writer("/keyed", Qos(), KEYED_STRING)
+        for side in server, client:
+            eventually(lambda side=side: route(side, "/keyed").cause == Cause.TYPE_CONFLICT)
+            assert "publish it with Fast DDS, or a type without a key" in route(side, "/keyed").reason
+        eventually(lambda: publisher.get_subscription_count() == 0)
+        assert writer.matched == 0
+    listener.payloads.clear()
+    eventually(crosses)

@@ -20,7 +20,7 @@ from tests.support.ports import free_port
 from tests.support.relay import message_number
 from tests.support.waiting import eventually, holds
 
-from rsb_bridge.model.names import node_of_hop
+from rsb_bridge.model.hops import node_of_hop
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
@@ -412,17 +412,23 @@ def test_killed_node_is_heard_by_no_late_joiner(
             eventually(lambda: len(before.payloads) == 1)
         finally:
             mortal.kill()
-    (pressed,) = publish(robot.publisher(topic, qos=latched(1)), "pressed", range(1))
+    successor = robot.publisher(topic, qos=latched(2))
+    (pressed,) = publish(successor, "pressed", range(1))
     if restarted:
         eventually(lambda: len(before.payloads) == 2, what="both are heard")
         eventually(lambda: listed_there() == 1, what="the killed one is withdrawn")
         constants.RESENT_AFTER.set(monkeypatch, 1.0)
-        restart(bridge, client if restarted == "client" else server)
+        again = restart(bridge, client if restarted == "client" else server)
     expected = 4 if restarted == "server" else 3  # a new server publishes all that is kept
     eventually(lambda: len(before.payloads) == expected and bytes(before.payloads[-1]) == pressed, what="pressed last")
     eventually(lambda: listed_there() == 1, what="one history is left")
     same_on_both_sides(robot, pc, topic, [pressed])
     assert len(robot.node.get_publishers_info_by_topic(topic)) == 2
+    if restarted == "client":  # the next process of the sending side knows what its predecessor sent again
+        restart(bridge, again)
+        (later,) = publish(successor, "later", range(1))
+        eventually(lambda: bytes(before.payloads[-1]) == later, what="later is last")
+        assert len(before.payloads) == expected + 1
 
 
 def test_a_publisher_that_is_gone_leaves_no_history(

@@ -19,8 +19,8 @@ from rsb_bridge.installed_features import installed
 from rsb_bridge.link.extension import Denied
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.commands import Restart, Stop, acting
-from rsb_bridge.model.names import TypeNameProblem
 from rsb_bridge.model.session import Topic
+from rsb_bridge.model.type_names import TypeNameProblem
 from rsb_bridge.model.verdict import LinkCause
 
 if TYPE_CHECKING:

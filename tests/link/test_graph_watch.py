@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from rsb_bridge.link.graph_watch import GraphWatch
+from rsb_bridge.route.topic_subscription import KeyedRoutes
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -65,14 +66,19 @@ class Route:
 
 
 @pytest.fixture
+def context(make_context: Callable[..., Context]) -> Context:
+    return make_context()
+
+
+@pytest.fixture
 def watch(
-    loop: VirtualLoop, make_context: Callable[..., Context]
+    loop: VirtualLoop, context: Context
 ) -> Iterator[Callable[[Links], tuple[GraphWatch, Callable[[float], None]]]]:
     """Starts a watch; gives it, and what lets time pass."""
     tasks = []
 
     def start(links: Links) -> tuple[GraphWatch, Callable[[float], None]]:
-        made = GraphWatch(make_context(), links, lambda: None)
+        made = GraphWatch(context, links, lambda: None)
         tasks.append(loop.create_task(made.run()))
         return made, lambda seconds: loop.run_until_complete(asyncio.sleep(seconds))
 
@@ -99,6 +105,23 @@ def test_restless_graph_is_looked_at_every_quarter_second(loop: VirtualLoop, wat
     assert 38 <= len(links.looks) <= 41
     wait(1.5)
     assert links.looks[-1] == pytest.approx(11.0, abs=0.3)
+
+
+def test_route_that_a_key_endangers_looks_at_each_change(loop: VirtualLoop, watch: Any, context: Context) -> None:
+    links = Links(loop, 2)
+    graph, wait = watch(links)
+    graph.changed()
+    wait(0.1)
+    assert links.looks == pytest.approx([0.0])
+    keyed: Any = context.shared(KeyedRoutes)
+    keyed.add(links.routes["0"])
+    graph.changed()
+    wait(0.1)
+    assert links.looks == pytest.approx([0.0, 0.1])
+    keyed.clear()
+    graph.changed()
+    wait(0.01)
+    assert links.looks == pytest.approx([0.0, 0.1])
 
 
 def test_routes_look_twenty_at_a_time(loop: VirtualLoop, watch: Any) -> None:

@@ -70,22 +70,28 @@ def test_pattern_that_matches_nothing_names_what_it_may_mean(
         Topic("/scan/*", "receive"),
         Topic("/cmd/*", "receive"),
         Topic("/imu/*", "transmit"),
+        Topic("/dock/*", "receive", kind="service"),
+        Topic("/maps/*", "receive", kind="service"),
     )
     for name in ("/camera/image", "/scan/front", "/robot/imu/data"):
         robot.publisher(name)
     for name in ("/arm/state", "/cmds/vel", "/imu_/raw"):
         pc.publisher(name)
+    robot.serve("/docks/go", SetBool)
+    pc.serve("/maps/save", SetBool)
     client = Client("robot1", key_file=bridge.key_file, topics=listed if lister == "server" else ())
     server = bridge.server(clients=(client,))
     own = listed if lister == "client" else ()
-    engine = {"server": server, "client": bridge.client(*own, allow=(Grant("/**"),))}[lister]
+    engine = {"server": server, "client": bridge.client(*own, allow=(Grant("/**"), Grant(services="/**")))}[lister]
     here, there = ("here", "on the other side") if lister == "client" else ("on the other side", "here")
     expected = {
         "/cam/*": MeaningText.NEAR(name="/camera/image"),
-        "/arm/*": MeaningText.OTHER_WAY(name="/arm/state", where=there, direction="receive"),
-        "/scan/*": MeaningText.OTHER_WAY(name="/scan/front", where=here, direction="transmit"),
+        "/arm/*": MeaningText.OTHER_WAY(name="/arm/state", offered="published", where=there, direction="receive"),
+        "/scan/*": MeaningText.OTHER_WAY(name="/scan/front", offered="published", where=here, direction="transmit"),
         "/cmd/*": MeaningText.NEAR(name="/cmds/vel"),
         "/imu/*": MeaningText.NEAR(name="/robot/imu/data"),
+        "/dock/*": MeaningText.NEAR(name="/docks/go"),
+        "/maps/*": MeaningText.OTHER_WAY(name="/maps/save", offered="provided", where=there, direction="transmit"),
     }
 
     def hints() -> dict[str, str]:

@@ -13,7 +13,8 @@ import pytest
 from tests.support.offline import loop
 
 from rsb_bridge.cdr.known_types import serialize_string, string_bytes
-from rsb_bridge.model.names import ANNOUNCEMENT_TOPIC, MOST_BRIDGES
+from rsb_bridge.model.hops import MOST_BRIDGES
+from rsb_bridge.model.names import ANNOUNCEMENT_TOPIC
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.announcements import LONGEST, Announcements, Origin
 from rsb_bridge.ros.no_ros import NoRos

@@ -15,8 +15,8 @@ from tests.support import replaced
 from tests.support.waiting import eventually
 from tests.support.wording import pattern, says
 
-from rsb_bridge.model.names import TypeNameProblem
 from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.type_names import TypeNameProblem
 from rsb_bridge.ros.node import RosNode
 from rsb_bridge.ros.participant import Participant
 from rsb_bridge.ros.publication_numbers import Untaken

@@ -14,7 +14,7 @@ from rsb_bridge.ros.no_ros import NoRos
 from rsb_bridge.ros.ros_graph import (
     Asked,
     Meant,
-    MeantTopics,
+    MeantNames,
     NameSuggester,
     Searches,
     SimilarTopics,
@@ -65,6 +65,22 @@ class _Graph(NoRos):
 
     def servers(self, service: str) -> list[Endpoint]:
         return [Endpoint("/node", "", "", Qos())] if service in self._served else []
+
+
+class _Typed(NoRos):
+    """One with types: an action /docks/go, a node /docks/server with parameters, and a service /docks/stop."""
+
+    def services(self) -> dict[str, list[str]]:
+        action, parameters = LANES["action"][0], LANES["parameters"][0]
+        return {
+            f"/docks/go{action.suffix}": [f"dock_msgs/action/Go{action.type_suffix}"],
+            f"/docks/server{parameters.suffix}": [parameters.type_name],
+            "/docks/called_only": ["std_srvs/srv/Empty"],
+            "/docks/stop": ["std_srvs/srv/Empty"],
+        }
+
+    def servers(self, service: str) -> list[Endpoint]:
+        return [Endpoint("/node", "", "", Qos())] if service != "/docks/called_only" else []
 
 
 @pytest.mark.parametrize(
@@ -157,7 +173,22 @@ def test_derived_topic_is_no_mistyped_one(other: str, meant: bool) -> None:
     ],
 )
 def test_pattern_that_matches_nothing_may_mean_this(pattern: str, name: str, matching: bool, meant: bool) -> None:
-    assert found(MeantTopics, _Topics(name), Meant(pattern, matching)) == (name if meant else "")
+    assert found(MeantNames, _Topics(name), Meant("topic", pattern, matching)) == (name if meant else "")
+
+
+@pytest.mark.parametrize(
+    ("kind", "pattern", "meant"),
+    [
+        ("service", "/dock/*", "/docks/stop"),
+        ("service", "/docks/stop/**", ""),
+        ("service", "/docks/go*", ""),
+        ("action", "/dock/*", "/docks/go"),
+        ("parameters", "/dock/*", "/docks/server"),
+        ("topic", "/dock/*", ""),
+    ],
+)
+def test_pattern_means_names_of_its_kind(kind: Kind, pattern: str, meant: str) -> None:
+    assert found(MeantNames, _Typed(), Meant(kind, pattern, matching=False)) == meant
 
 
 class _Lidar(NoRos):

@@ -16,8 +16,8 @@ from tests.support.filled import filled
 from tests.support.waiting import eventually
 from tests.support.wording import pattern
 
-from rsb_bridge.model.names import SHORT_NAMES, TypeNameProblem
 from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.type_names import SHORT_NAMES, TypeNameProblem
 from rsb_bridge.ros import raw_types, self_test
 from rsb_bridge.ros.distribution import package_of
 from rsb_bridge.ros.native import named_types, typesupport

@@ -12,7 +12,7 @@ import pytest
 from tests.support import replaced
 from tests.support.wording import pattern
 
-from rsb_bridge.model.names import SHORT_NAMES, TypeNameProblem, expand_type_name
+from rsb_bridge.model.type_names import SHORT_NAMES, TypeNameProblem, expand_type_name
 from rsb_bridge.ros.native.typesupport import hash_of, installed_class
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from tests.route.loop_filter_helpers import FIRST, SCAN, SECOND, TYPE, TYPE_HASH
 from tests.support.reports import told_words
 
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.names import hop
+from rsb_bridge.model.hops import hop
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.reason import EndCode, Reason
 from rsb_bridge.model.snapshot import State

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from rsb_bridge.model.names import hop
+from rsb_bridge.model.hops import hop
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.announcements import Origin
 from rsb_bridge.ros.ros_interface import Endpoint, RawMessage

@@ -8,6 +8,7 @@ import errno
 import gc
 import os
 import socket
+import struct
 import threading
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager, contextmanager
@@ -139,6 +140,37 @@ async def test_connection_to_itself_is_refused(monkeypatch: pytest.MonkeyPatch) 
         await Tcp().connect("127.0.0.1", number, StreamHandler())
     (server,) = await bind("127.0.0.1", number, socket.SOCK_STREAM)
     server.close()
+
+
+async def test_connection_that_is_reset_at_once_leaves_no_socket(monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[socket.socket] = []
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        async def connect(*given: Any, **named: Any) -> socket.socket:
+            made.append(await start_connection(*given, **named))
+            there, _ = server.accept()
+            there.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+            there.close()
+            return made[0]
+
+        replaced.START_CONNECTION.set(monkeypatch, connect)
+        with pytest.raises(OSError, match=r".+"):
+            await Tcp().connect("127.0.0.1", server.getsockname()[1], StreamHandler())
+    assert made[0].fileno() == -1
+
+
+def test_connection_that_comes_as_the_loop_ends_leaves_no_socket() -> None:
+    """It is accepted in the loop's last turn. A socket that the collector closes warns."""
+    number = free_port()
+
+    async def listen() -> None:
+        loop, listener = asyncio.get_running_loop(), await Tcp().listen("127.0.0.1", number, Accepting())
+        client.connect(("127.0.0.1", number))
+        loop.call_soon(loop.call_soon, listener.close)  # after that turn
+
+    with socket.socket() as client, asyncio.Runner() as runner:
+        runner.run(listen())
+    gc.collect()
 
 
 async def test_two_that_bind_at_once_cannot_both_listen(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -19,7 +19,7 @@ from tests.wire.links import (
     the,
 )
 
-from rsb_bridge.model.names import fingerprint_of
+from rsb_bridge.model.fingerprints import fingerprint_of
 from rsb_bridge.wire.codec import encode
 from rsb_bridge.wire.connection import ClientConnection, DataConnection, ServerConnection
 from rsb_bridge.wire.events import DataFrame, Event, Failed, MessageReceived, RefusalCode, StreamName, StreamRefused

@@ -24,7 +24,7 @@ from tests.wire.links import (
     the,
 )
 
-from rsb_bridge.model.names import fingerprint_of, format_fingerprint
+from rsb_bridge.model.fingerprints import fingerprint_of, format_fingerprint
 from rsb_bridge.wire.codec import encode
 from rsb_bridge.wire.connection import ClientConnection, ServerConnection
 from rsb_bridge.wire.events import Established, Event, Failed, MessageReceived, RefusalCode, StreamRefused

@@ -9,7 +9,7 @@ from tests.support.wording import pattern
 from tests.wire.links import KEY, OTHER_KEY, make_client, make_server, the
 from tests.wire.operators_helpers import VERSION, attached, make_console, make_engine
 
-from rsb_bridge.model.names import fingerprint_of
+from rsb_bridge.model.fingerprints import fingerprint_of
 from rsb_bridge.wire.connection import (
     HOST_BYTES,
     OPERATOR_SUITE,

@@ -34,9 +34,9 @@ from rsb_bridge.model.limits import (
     discovery_domain,
 )
 from rsb_bridge.model.motion import may_move
-from rsb_bridge.model.names import expand_type_name, split_type_name
 from rsb_bridge.model.qos import AUTO
 from rsb_bridge.model.session import Problem
+from rsb_bridge.model.type_names import expand_type_name, split_type_name
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.descriptors import first_open_port
 

@@ -1,9 +1,10 @@
-"""Paths as people type them, atomic writing, and the reasons why a file cannot be written, in plain words."""
+"""Paths and names of files, atomic writing, and the reasons why a file cannot be written, in plain words."""
 
 from __future__ import annotations
 
 import errno
 import os
+import re
 import stat
 import tempfile
 from contextlib import contextmanager, suppress
@@ -43,6 +44,16 @@ class FileRisk(Wording):
     OTHER_OWNER = "{path} belongs to another user (uid {uid}), or is in a folder of that user's"
     WRITABLE = "others may write to {path}: run `chmod o-w {path}`"
     REPLACEABLE = "others can replace {path}: run `chmod o-w {folder}`"
+
+
+_STEM_LENGTH = 64  # characters; a file's name has at most 255 bytes, and a suffix and a number come behind it
+
+
+def file_stem(name: str, number: int = 1) -> str:
+    """Return a session's name as a file's name without suffix; the number tells sessions of one name apart."""
+    # No dot first: the file would be hidden.
+    safe = re.sub(r"[^A-Za-z0-9_.-]", "_", name)[:_STEM_LENGTH].lstrip(".") or "_"
+    return safe if number == 1 else f"{safe}-{number}"
 
 
 def typed_path(text: str) -> Path:

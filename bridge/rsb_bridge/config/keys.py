@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rsb_bridge.config.files import kind_of_file, new_file, replace_file, typed_path, why_not_written
-from rsb_bridge.model.names import fingerprint_of, format_fingerprint
+from rsb_bridge.model.fingerprints import fingerprint_of, format_fingerprint
 from rsb_bridge.model.text import join_first, plural
 from rsb_bridge.model.wording import Wording
 

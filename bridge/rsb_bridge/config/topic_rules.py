@@ -32,12 +32,12 @@ from rsb_bridge.model.calls import LANES, FieldError
 from rsb_bridge.model.demands import full_type
 from rsb_bridge.model.keep import Keep
 from rsb_bridge.model.limits import CHANNEL, NO_PORT, TEXT_LENGTH
-from rsb_bridge.model.names import expand_type_name
 from rsb_bridge.model.patterns import is_pattern
 from rsb_bridge.model.qos import AUTO, PROFILES, Qos, parse_qos
 from rsb_bridge.model.session import Kind, Problem, Session, Topic
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.topic_keys import ADDED_KEYS, TOPIC_KEYS, ForeignKey, TopicKey
+from rsb_bridge.model.type_names import expand_type_name
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:

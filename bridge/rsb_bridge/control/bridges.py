@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rsb_bridge import __version__
+from rsb_bridge.config.files import file_stem
 from rsb_bridge.control import control_sockets, protocol
 from rsb_bridge.control.control_server import ControlServer
 from rsb_bridge.control.control_sockets import AttachProblem, ControlError, ControlSocket, NotServedError, TakenError
 from rsb_bridge.control.protocol import BridgeInfo, ConsoleWelcome, ControlProtocolError, HelloRefused
 from rsb_bridge.installed_features import features_with, guarded
-from rsb_bridge.model.names import file_stem
 from rsb_bridge.model.text import encodable, one_line
 from rsb_bridge.model.wording import Wording
 

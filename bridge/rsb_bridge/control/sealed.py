@@ -25,7 +25,7 @@ from rsb_bridge.link.pending_connections import ConnectionStage, Limits, Pending
 from rsb_bridge.model.budgets import TokenBucket
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.commands import ActingOperator
-from rsb_bridge.model.names import fingerprint_of
+from rsb_bridge.model.fingerprints import fingerprint_of
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.wording import Wording

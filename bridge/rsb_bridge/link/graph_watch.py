@@ -13,6 +13,7 @@ from rsb_bridge.model.session import Kind
 from rsb_bridge.ros.ros_graph import agreed_type, called_in
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.route.lazy import AwaitedListeners
+from rsb_bridge.route.topic_subscription import KeyedRoutes
 from rsb_bridge.tasks import in_slices
 
 if TYPE_CHECKING:
@@ -85,9 +86,14 @@ class GraphWatch:
         self._looks = 0
         self._settled: asyncio.TimerHandle | None = None
         self._awaited = context.shared(AwaitedListeners)
+        self._keyed = context.shared(KeyedRoutes)
+        self._keyed_noted = False
 
     def changed(self) -> None:
         """Look soon: the graph has changed. May be called from any thread."""
+        if self._keyed and not self._keyed_noted:
+            self._keyed_noted = True
+            self._context.call(self._advance_keyed)
         if not self._noted:  # a robot that starts reports a hundred changes a second, each of which would wake the loop
             self._noted = True
             self._context.call(self._advance_soon)
@@ -115,6 +121,14 @@ class GraphWatch:
         if self._settled is not None:
             self._settled.cancel()
         self._settled = self._context.loop.call_later(_MATCHED_AFTER, self._due.set)
+
+    def _advance_keyed(self) -> None:
+        """Advance the routes that a new publisher endangers at once."""
+        self._keyed_noted = False
+        self._context.announcements.update()
+        for link in self._links():
+            for route in self._keyed & {*link.routes.values()}:
+                link.guarded(route.advance)
 
     async def _advance_routes(self, *, idle: bool) -> float:
         """Advance routes in slices; return the seconds that this took of the loop.

@@ -9,9 +9,10 @@ import msgspec
 
 from rsb_bridge.config.grants import uses
 from rsb_bridge.config.rights import Use, as_if_listed
-from rsb_bridge.model.names import client_topic, expand_type_name, is_topic_name, server_topic
+from rsb_bridge.model.names import client_topic, is_topic_name, server_topic
 from rsb_bridge.model.patterns import Pattern, is_hidden
 from rsb_bridge.model.qos import AUTO
+from rsb_bridge.model.type_names import expand_type_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -15,7 +15,8 @@ from rsb_bridge.link.refused_clients import ASKED_EVERY, FORGOTTEN_AFTER, LinkSh
 from rsb_bridge.link.server_channels import ServerChannels
 from rsb_bridge.link.topic_ports import TopicPorts, check_topic_port
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.names import client_topic, format_fingerprint, server_topic
+from rsb_bridge.model.fingerprints import format_fingerprint
+from rsb_bridge.model.names import client_topic, server_topic
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.transports import profile_of
 from rsb_bridge.model.verdict import LinkCause

@@ -12,10 +12,11 @@ import msgspec
 
 from rsb_bridge.model.by_hand import VelocityLimits, can_end, end_text, more_careful_end, smallest_limits
 from rsb_bridge.model.calls import LANES
-from rsb_bridge.model.names import expand_type_name, server_topic
+from rsb_bridge.model.names import server_topic
 from rsb_bridge.model.patterns import Pattern, is_pattern
 from rsb_bridge.model.qos import AUTO
 from rsb_bridge.model.session import DEADMAN, ArmedName, Client, Identity, Kind, Session, Topic
+from rsb_bridge.model.type_names import expand_type_name
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:

@@ -17,7 +17,8 @@ from msgspec import Meta
 
 from rsb_bridge.cdr.known_types import STRING, STRING_HASH, serialize_string, string_bytes
 from rsb_bridge.model.budgets import TokenBucket
-from rsb_bridge.model.names import ANNOUNCEMENT_TOPIC, MOST_BRIDGES
+from rsb_bridge.model.hops import MOST_BRIDGES
+from rsb_bridge.model.names import ANNOUNCEMENT_TOPIC
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.lasting_subscription import LastingSubscription
 from rsb_bridge.ros.ros_interface import Endpoint, RosError, TopicSpec
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     import asyncio
     from collections.abc import Callable, Hashable, Sequence
 
-    from rsb_bridge.model.names import Via
+    from rsb_bridge.model.hops import Via
     from rsb_bridge.ros.ros_interface import OnFailure, Publisher, RawMessage, RosInterface, Subscription
 
 LONGEST = 4 << 20

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from typing import NamedTuple
 
-from rsb_bridge.model.names import split_type_name
+from rsb_bridge.model.type_names import split_type_name
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.ros.distribution import package_of
 from rsb_bridge.ros.native.named_types import BorrowedType, named_services, named_types, nothing

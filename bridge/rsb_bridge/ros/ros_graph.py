@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import difflib
+from functools import partial
 from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
 
 from rsb_bridge.model.calls import LANES
@@ -137,22 +138,25 @@ class Meant(NamedTuple):
     """A pattern that matches nothing.
 
     Attributes:
-        matching: whether a topic that it matches is sought, too: in the graph that it does not follow.
+        matching: whether a name that it matches is sought, too: in the graph that it does not follow.
     """
 
+    kind: Kind
     pattern: str
     matching: bool
 
 
-class MeantTopics(Searches[Meant]):
-    """Finds a published topic that a pattern may mean."""
+class MeantNames(Searches[Meant]):
+    """Finds a published topic, or a name that is provided, that a pattern may mean."""
 
     async def _answer(self, asked: Meant) -> str:
-        return await topic_meant(self._ros, asked, lambda _: True)
+        return await name_meant(self._ros, asked, lambda _: True)
 
 
-async def topic_meant(ros: RosInterface, asked: Meant, may: Callable[[str], bool]) -> str:
-    """Return a topic that nodes besides bridges publish, and a pattern matches or may mean, or an empty string.
+async def name_meant(ros: RosInterface, asked: Meant, may: Callable[[str], bool]) -> str:
+    """Return a name of the pattern's kind that nodes besides bridges publish or provide, or an empty string.
+
+    The pattern matches it, or may mean it.
 
     Args:
         may: whether a name may be returned.
@@ -161,6 +165,7 @@ async def topic_meant(ros: RosInterface, asked: Meant, may: Callable[[str], bool
         RosError: the node is not running.
     """
     pattern, alike = Pattern(asked.pattern), _alike_patterns(asked.pattern)
+    ends = ros.publishers if asked.kind == "topic" else partial(_providers, ros, asked.kind)
     found: dict[bool, str] = {}  # by whether it matches
 
     def look(name: str) -> None:
@@ -170,11 +175,12 @@ async def topic_meant(ros: RosInterface, asked: Meant, may: Callable[[str], bool
             if matches
             else any(each.match(name) is not None for each in alike) or _is_alike(asked.pattern, name)
         )
-        if fits and matches not in found and any(not is_bridge(each.node) for each in ros.publishers(name)):
+        if fits and matches not in found and any(not is_bridge(each.node) for each in ends(name)):
             found[matches] = name
 
     if any(map(_is_literal, _segments(asked.pattern))):  # else it means anything
-        names = (each for each in ros.topics() if not is_hidden(each) and each not in OF_EVERY_NODE and may(each))
+        present = ros.topics() if asked.kind == "topic" else _names_called(ros)[asked.kind]
+        names = (each for each in present if not is_hidden(each) and each not in OF_EVERY_NODE and may(each))
         await in_slices(sorted(names)[:_MOST_NAMES], look)
     return found.get(True) or found.get(False, "")
 
@@ -198,9 +204,9 @@ def _alike_patterns(pattern: str) -> list[Pattern]:
 def _is_alike(pattern: str, name: str) -> bool:
     """Whether a pattern would match a name if similar segments were equal ones."""
     wanted, has = _segments(pattern), _segments(name)
-    if "**" in wanted:  # which takes as many segments as are left
-        at = wanted.index("**")
-        wanted[at : at + 1] = ["*"] * (len(has) - len(wanted) + 1)
+    if "**" in wanted:  # which takes as many segments as are left, and one at least at the end
+        at, left = wanted.index("**"), len(has) - len(wanted) + 1
+        wanted[at : at + 1] = ["*"] * (max(left, 1) if at == len(wanted) - 1 else left)
     if len(wanted) != len(has):
         return False
     pairs = [pair for pair in zip(wanted, has, strict=True) if pair[0] not in ("*", pair[1])]
@@ -288,17 +294,26 @@ def called_in(ros: RosInterface, kinds: Collection[Kind]) -> list[TopicInfo]:
     Raises:
         RosError: the node is not running.
     """
-    services = ros.services()
-    names: dict[Kind, dict[str, str]] = {kind: dict(_wholes(kind, services)) for kind in WHOLES}
-    parts = {name + each.suffix for kind in WHOLES for name in names[kind] for each in LANES[kind] if not each.is_topic}
-    alone = (name for name, types in services.items() if name not in parts and _OF_EVERY_NODE not in types)
-    names["service"] = dict.fromkeys(alone, "")
+    names = _names_called(ros)
     return [
         entry
         for kind in sorted(names.keys() & set(kinds))
         for name in sorted(name for name in names[kind] if not is_hidden(name))[:MOST_ENTRIES]
         if (entry := _entry(ros, kind, name, names[kind][name])) is not None
     ]
+
+
+def _names_called(ros: RosInterface) -> dict[Kind, dict[str, str]]:
+    """Return the names of `called_in` by kind, hidden ones too, each with its type or an empty string."""
+    services = ros.services()
+    names: dict[Kind, dict[str, str]] = {kind: dict(_wholes(kind, services)) for kind in WHOLES}
+    parts = {name + each.suffix for kind in WHOLES for name in names[kind] for each in LANES[kind] if not each.is_topic}
+    alone = (name for name, types in services.items() if name not in parts and _OF_EVERY_NODE not in types)
+    return {**names, "service": dict.fromkeys(alone, "")}
+
+
+def _providers(ros: RosInterface, kind: Kind, name: str) -> Sequence[Endpoint]:
+    return ros.servers(name + _lead(kind))
 
 
 def _wholes(kind: Kind, services: Mapping[str, Sequence[str]]) -> Iterator[tuple[str, str]]:
@@ -320,8 +335,7 @@ def _wholes(kind: Kind, services: Mapping[str, Sequence[str]]) -> Iterator[tuple
 
 def _entry(ros: RosInterface, kind: Kind, name: str, type_name: str) -> TopicInfo | None:
     """Return an entry of the list, or None if its nodes have just gone."""
-    service = name + LANES[kind][0].suffix
-    servers, callers = ros.servers(service), ros.callers(service)
+    servers, callers = _providers(ros, kind, name), ros.callers(name + _lead(kind))
     if not servers and not callers:
         return None
     type_hash = ""
@@ -337,12 +351,12 @@ class NameSuggester(Searches["tuple[Kind, str]"]):
         kind, name = asked
         services = self._ros.services()
         for other in CALLED:
-            if other != kind and name + _lead(other) in services and self._ros.servers(name + _lead(other)):
+            if other != kind and name + _lead(other) in services and _providers(self._ros, other, name):
                 return f"{name} is {_OTHER[other]}"
         suffix = _lead(kind)
         names = {each.removesuffix(suffix) for each in services if each.endswith(suffix)} - {name, ""}
         visible = (each for each in names if not is_hidden(each))
-        similar = await most_similar(name, visible, lambda each: self._ros.servers(each + suffix))
+        similar = await most_similar(name, visible, partial(_providers, self._ros, kind))
         return f"did you mean {similar}?" if similar else ""
 
 

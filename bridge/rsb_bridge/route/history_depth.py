@@ -17,7 +17,6 @@ again, over a cut of the link, too.
 
 from __future__ import annotations
 
-import hashlib
 from collections import deque
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
@@ -26,7 +25,7 @@ from rsb_bridge.model.limits import LATCHED_DEPTH
 from rsb_bridge.model.qos import AUTO_DEPTH, QUEUE_BYTES
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.route.silent_publishers import SilentPublishers
-from rsb_bridge.wire.headers import PUBLISHER_ID_LENGTH, HistoryHeader, publisher_id
+from rsb_bridge.wire.headers import MOST_RESENDS, HistoryHeader, publisher_id, resends_of
 
 if TYPE_CHECKING:
     import asyncio
@@ -132,13 +131,13 @@ class KnownPublishers:
 
     Attributes:
         taken: the newest number that was taken, by publisher.
-        other_ids: of publishers whose history was sent again: the peer knows them under these.
+        resent: how often a publisher's history was sent again: the peer knows it under the id that follows from this.
         bounds: of depths, by publisher: a DDS publisher's depth never changes.
         resends: ns since the epoch, when the newest message was published that is to be sent again, or 0.
     """
 
     taken: dict[bytes, int] = field(default_factory=dict)
-    other_ids: dict[bytes, bytes] = field(default_factory=dict)
+    resent: dict[bytes, int] = field(default_factory=dict)
     bounds: dict[bytes, Bounds] = field(default_factory=dict)
     resends: int = 0
 
@@ -178,6 +177,7 @@ class Histories:
         self._depth = min(depth, LATCHED_DEPTH)
         self._lifespan = lifespan
         self._known = dict(known)
+        self._kept_there = known.keys()
         self._remembered = remembered
         self._bounds_before = {} if depth else dict(remembered.bounds)
         self._in_graph: Collection[bytes] = ()
@@ -269,7 +269,6 @@ class Histories:
             self._bounds_before = {gid: each for gid, each in self._bounds_before.items() if gid in here}
         for gid in [gid for gid in self._remembered.taken if gid not in present and gid not in self._publishers]:
             del self._remembered.taken[gid]
-            self._remembered.other_ids.pop(gid, None)
         for gid, publisher in tuple(self._publishers.items()):
             if gid in present:
                 publisher.gone_since = None
@@ -279,8 +278,10 @@ class Histories:
             # A publisher that still sends is there, even if the graph has lost it.
             if now - max(publisher.latest, publisher.gone_since) > _ENDED_AFTER:
                 del self._publishers[gid]
-                self._remembered.other_ids.pop(gid, None)
-        self._silent.forget_gone({*present, *self._publishers})
+        here = {*present, *self._publishers}
+        for gid in self._remembered.resent.keys() - here:
+            del self._remembered.resent[gid]
+        self._silent.forget_gone(here)
         return self._publishers
 
     def close(self) -> int:
@@ -324,7 +325,14 @@ class Histories:
         return Sample(HistoryHeader(self._id(message.gid), number, depth), message, replayed)
 
     def _id(self, gid: bytes) -> bytes:
-        return self._remembered.other_ids.get(gid) or publisher_id(gid)
+        return publisher_id(gid, self._resent(gid))
+
+    def _resent(self, gid: bytes) -> int:
+        """Return how often a publisher's history was sent again, perhaps by an earlier process of this side."""
+        resent = self._remembered.resent.get(gid)
+        if resent is None:
+            resent = self._remembered.resent[gid] = resends_of(gid, self._kept_there) or 0
+        return resent
 
     # --- killed publishers
 
@@ -379,9 +387,7 @@ class Histories:
         if self._silent.asks or not self._silent.hear_again(gid):
             self._send_newest_later(newest_then)
             return
-        # Of the present id alone, an earlier process of this side may have made the same one.
-        made_of = self._id(gid) + str(self._loop.time()).encode()
-        self._remembered.other_ids[gid] = hashlib.blake2b(made_of, digest_size=PUBLISHER_ID_LENGTH).digest()
+        self._remembered.resent[gid] = (self._resent(gid) + 1) % MOST_RESENDS
         newest.taken = newest.first = 0
         newest.settled = newest.exact
         self._found()

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections import deque
 from typing import TYPE_CHECKING, NamedTuple
 
-from rsb_bridge.model.names import MOST_HOPS, MOST_SOURCES, Via, hop, node_of_hop, topic_place
+from rsb_bridge.model.hops import MOST_HOPS, MOST_SOURCES, Via, hop, node_of_hop, topic_place
 from rsb_bridge.model.qos import QUEUE_BYTES, incompatible
 from rsb_bridge.model.text import join_first
 from rsb_bridge.wire.framing import SOURCE_SHIFT

@@ -12,9 +12,9 @@ import msgspec
 
 from rsb_bridge.cdr.description import TypeVersion
 from rsb_bridge.model.demands import full_type
-from rsb_bridge.model.names import expand_type_name
 from rsb_bridge.model.qos import match_publishers
 from rsb_bridge.model.text import join_first
+from rsb_bridge.model.type_names import expand_type_name
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.ros_graph import Sought, are_alike
 from rsb_bridge.route.combined_verdict import node_names, nodes_by, who_publish

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 from rsb_bridge.cdr.description import TypeVersion
 from rsb_bridge.model.fates import BEST_EFFORT, RELIABLE
-from rsb_bridge.model.names import expand_type_name
 from rsb_bridge.model.qos import incompatible
 from rsb_bridge.model.snapshot import Ledger, Stage
+from rsb_bridge.model.type_names import expand_type_name
 from rsb_bridge.model.verdict import EXPIRES, LASTING, Cause, LinkCause
 from rsb_bridge.route.blocking_rules import stages_with_link
 from rsb_bridge.route.crossing import Crossing
@@ -21,7 +21,7 @@ from rsb_bridge.route.listeners import no_subscriber
 from rsb_bridge.route.rest_message import velocity_on
 from rsb_bridge.route.route import promised_keep
 from rsb_bridge.route.topic_flow import MEASURED_FOR
-from rsb_bridge.wire.headers import publisher_id
+from rsb_bridge.wire.headers import resends_of
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -271,7 +271,7 @@ class SenderFacts(TopicFacts):
     def has_kept(self) -> bool:
         """Whether the peer keeps messages of a publisher that still exists."""
         kept = self.kept_there
-        return bool(kept) and any(publisher_id(each.gid) in kept for each in self.carried.endpoints)
+        return bool(kept) and any(resends_of(each.gid, kept) is not None for each in self.carried.endpoints)
 
     def lacks_publisher(self, crossing: Crossing) -> bool:
         # Type and QoS are a publisher's, so that without one nothing is described, and nothing flows.

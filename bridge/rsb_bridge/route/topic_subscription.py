@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     import asyncio
     from collections.abc import Callable, Collection, Mapping, Sequence
 
+    from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.ros.ros_interface import Endpoint, OnFailure, RawMessage, Subscription, TopicSpec
     from rsb_bridge.route.loop_filter import LoopFilter
@@ -44,6 +45,16 @@ _ASKS_FOR, _ASKS_AGAIN = 30.0, 300.0
 """s for which a further subscription listens, and after which it does again. Round figures."""
 _BEST_EFFORT = "subscribed as best_effort, which hears it; what is lost stays lost"
 _MATCHED_WITHIN = 2  # ticks: DDS matches a publisher that it lists within milliseconds
+
+
+class KeyedRoutes(set["Route"]):
+    """The routes whose subscription has to end as soon as a publisher with a key of another DDS comes.
+
+    Such a publisher's messages may end the process.
+    """
+
+    def __init__(self, _: Context) -> None:
+        super().__init__()
 
 
 class TopicSubscription:
@@ -85,6 +96,7 @@ class TopicSubscription:
         self._depth = 0
         self._remembered = KnownPublishers()  # of a latched topic
         self._has_begun = False
+        self._keyed = context.shared(KeyedRoutes)
         self._lost_seen = 0
         self._unmatched_ticks = 0
         self._reliability = _Reliability(route, self._unreliable)
@@ -131,6 +143,8 @@ class TopicSubscription:
         assert self.spec is not None
         self._type.begin(self.spec.type_name, self.spec.type_hash)
         self.numbers.gap = Untaken.MISSED if missed else Untaken.UNSUBSCRIBED
+        if not self._context.ros.survives_foreign_keys(self.spec.type_name):
+            self._keyed.add(self._route)
         self._subscription = LastingSubscription(self._context.loop, self._subscribe, self._changed)
         if self.spec.qos.liveliness_lease_duration:
             self._liveliness = _Liveliness(self._route, self.spec, self._subscription, self._loop_filter, self._found)
@@ -142,6 +156,7 @@ class TopicSubscription:
             self._liveliness = None
         self._reliability.ask_no_further()
         if self._subscription is not None:
+            self._keyed.discard(self._route)
             self._subscription.close()
             self._subscription = None
         if self.histories is not None:

@@ -7,6 +7,7 @@ import contextlib
 import errno
 import socket
 from collections.abc import Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from rsb_bridge.model.wording import Wording
@@ -172,7 +173,7 @@ class StreamListener:
             accepted.setblocking(False)
             task = self._loop.create_task(self._serve(accepted, address))
             self._accepting.add(task)  # a loop holds its tasks only weakly
-            task.add_done_callback(self._accepting.discard)
+            task.add_done_callback(partial(self._served, accepted))
 
     def _rest(self, sock: socket.socket, error: OSError) -> None:
         self._loop.remove_reader(sock)
@@ -188,6 +189,11 @@ class StreamListener:
         try:
             await self._loop.connect_accepted_socket(make_stream, accepted)
         except OSError:  # it has ended already
+            accepted.close()
+
+    def _served(self, accepted: socket.socket, task: asyncio.Task[None]) -> None:
+        self._accepting.discard(task)
+        if task.cancelled():  # the loop ends, perhaps before the task has begun
             accepted.close()
 
 

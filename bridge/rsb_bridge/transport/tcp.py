@@ -209,15 +209,14 @@ class Tcp(TcpTraits, StreamTransport):
                 )
         except OSError as error:
             raise _most_telling(error) from None
-        # While nobody listens there, a kernel that chose this port for the connection's own end connects it to itself,
-        # and no server could have the port.
-        if sock.getsockname() == sock.getpeername():
-            sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESETS)  # else the port is kept for a minute
-            sock.close()
-            raise OSError(errno.ECONNREFUSED, os.strerror(errno.ECONNREFUSED))
-        # A cancellation in between would leave a socket behind.
+        # A cancellation in between would leave a socket behind, or a reset: then it has no peer's name.
         with contextlib.ExitStack() as unless_connected:
             unless_connected.callback(sock.close)
+            # While nobody listens there, a kernel that chose this port for the connection's own end connects it to
+            # itself, and no server could have the port.
+            if sock.getsockname() == sock.getpeername():
+                sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESETS)  # else the port is kept for a minute
+                raise OSError(errno.ECONNREFUSED, os.strerror(errno.ECONNREFUSED))
             loop = asyncio.get_running_loop()
             _, stream = await loop.create_connection(lambda: self._stream(handler), sock=sock)
             unless_connected.pop_all()

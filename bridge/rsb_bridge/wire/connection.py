@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rsb_bridge.model.names import FINGERPRINT_LENGTH, fingerprint_of, format_fingerprint
+from rsb_bridge.model.fingerprints import FINGERPRINT_LENGTH, fingerprint_of, format_fingerprint
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.wire.codec import decode_hello, decode_welcome, encode
 from rsb_bridge.wire.events import (

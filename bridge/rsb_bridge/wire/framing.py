@@ -6,7 +6,7 @@ import io
 import struct
 from typing import TYPE_CHECKING, TypeAlias
 
-from rsb_bridge.model.names import MOST_SOURCES
+from rsb_bridge.model.hops import MOST_SOURCES
 from rsb_bridge.wire.protocol_error import Broken, ProtocolError
 
 if TYPE_CHECKING:

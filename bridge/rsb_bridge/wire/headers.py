@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import hashlib
 import struct
 from enum import IntEnum
-from typing import Annotated, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Annotated, NamedTuple, TypeAlias
 
 from msgspec import Meta
 
 from rsb_bridge.wire.protocol_error import Broken, ProtocolError
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
 
 LAST_LEASE = 2**32 - 1
 
@@ -34,6 +38,7 @@ def split_number(payload: bytes) -> tuple[int, bytes]:
 
 
 PUBLISHER_ID_LENGTH = 16
+MOST_RESENDS = 16  # then a publisher's ids begin again: the peer has dropped the first ones long ago
 _LAST_IN_HISTORY = 2**63 - 1
 _HISTORY_HEADER = struct.Struct(f">{PUBLISHER_ID_LENGTH}sQI")
 
@@ -49,9 +54,20 @@ class HistoryHeader(NamedTuple):
         return _HISTORY_HEADER.pack(*self)
 
 
-def publisher_id(gid: bytes) -> bytes:
-    """Return a publisher's id on the wire for its id in the middleware."""
+def publisher_id(gid: bytes, resent: int = 0) -> bytes:
+    """Return a publisher's id on the wire for its id in the middleware, once its history was sent again so often."""
+    if resent:
+        return hashlib.blake2b(gid, digest_size=PUBLISHER_ID_LENGTH, salt=resent.to_bytes()).digest()
     return gid[:PUBLISHER_ID_LENGTH].ljust(PUBLISHER_ID_LENGTH, b"\0")
+
+
+def resends_of(gid: bytes, kept: Collection[bytes]) -> int | None:
+    """Return how often a publisher's history was sent again by the ids that the peer keeps, or None if it has none.
+
+    For a moment the peer keeps the id before, too: the last one counts.
+    """
+    are_kept = [publisher_id(gid, resent) in kept for resent in range(MOST_RESENDS)] if kept else []
+    return next((at for at, kept in enumerate(are_kept) if kept and not are_kept[(at + 1) % MOST_RESENDS]), None)
 
 
 def split_history(payload: bytes) -> tuple[HistoryHeader, bytes]:

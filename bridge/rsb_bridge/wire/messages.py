@@ -9,8 +9,8 @@ from msgspec import Meta
 
 from rsb_bridge.model.by_hand import VelocityLimits
 from rsb_bridge.model.calls import MOST_LANES
+from rsb_bridge.model.hops import MOST_SOURCES
 from rsb_bridge.model.keep import Keep
-from rsb_bridge.model.names import MOST_SOURCES
 from rsb_bridge.model.patterns import NAMES_FOLLOWED, PATTERNS_PER_LINK
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.reason import EndCode
@@ -498,18 +498,19 @@ class Followed(ControlMessageBase, frozen=True):
 
 
 class AskMeant(ConnectionMessage, frozen=True):
-    """Either side asks for a topic of the peer's graph that a pattern may mean. Answered by `MeantTopic`."""
+    """Either side asks for a name of the peer's graph that a pattern may mean. Answered by `MeantName`."""
 
     number: Count  # of this question among its sender's
     pattern: Name  # of names on the asked side; an invalid one means nothing
-    matching: bool = False  # whether a topic that it matches is sought, or else a similar one only
+    kind: Name = "topic"  # of these names; nothing is of an unknown kind
+    matching: bool = False  # whether a name that it matches is sought, or else a similar one only
 
 
-class MeantTopic(ConnectionMessage, frozen=True):
+class MeantName(ConnectionMessage, frozen=True):
     """The answer to `AskMeant`."""
 
     number: Count
-    topic: Name = ""  # that nodes publish there, or empty
+    name: Name = ""  # that nodes publish or provide there, or empty
 
 
 class Lease(ConnectionMessage, frozen=True):
@@ -537,6 +538,6 @@ UrgentMessage: TypeAlias = Lease | Disarm
 ControlMessage: TypeAlias = (
     Propose | Accept | Refuse | Describe | Ready | Publishers | Provide | ByHand | Neighbours | Close | Amend | Edit
     | EditAnswer | Limit | Pause | Arm | Armed | Disarm | AskForArming | AskEnded | Settled | Lease | Ping | Pong
-    | Report | Receipts | ListTopics | TopicList | AskType | TypeText | Follow | Followed | AskMeant | MeantTopic
+    | Report | Receipts | ListTopics | TopicList | AskType | TypeText | Follow | Followed | AskMeant | MeantName
     | Duplicate | Shutdown | Unsaved
 )  # fmt: skip

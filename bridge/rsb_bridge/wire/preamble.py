@@ -7,8 +7,8 @@ from abc import ABC, abstractmethod
 from enum import Enum, IntEnum, auto
 from typing import TYPE_CHECKING, NamedTuple
 
+from rsb_bridge.model.fingerprints import FINGERPRINT_LENGTH, fingerprint_of, format_fingerprint
 from rsb_bridge.model.limits import NAME_BYTES
-from rsb_bridge.model.names import FINGERPRINT_LENGTH, fingerprint_of, format_fingerprint
 from rsb_bridge.model.text import is_clean, sanitize_text
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.wire.events import Attach, Event, Failed, RefusalCode, StreamName, StreamRefused

@@ -12,8 +12,8 @@ import msgspec
 from msgspec import Meta
 
 from rsb_bridge.cdr.description import DESCRIPTION_LIMIT
+from rsb_bridge.model.hops import HOP_LENGTH, MOST_BRIDGES, MOST_HOPS
 from rsb_bridge.model.limits import FEATURE_VALUES, LATCHED_DEPTH, PORT, RATE, REASON_LENGTH, TEXT_LENGTH
-from rsb_bridge.model.names import HOP_LENGTH, MOST_BRIDGES, MOST_HOPS
 from rsb_bridge.model.qos import Qos, qos_problem
 from rsb_bridge.model.session import HIGHEST, LOWEST
 from rsb_bridge.model.text import UNPRINTABLE

@@ -8,10 +8,11 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, TypeAlias
 
-from rsb_bridge.model.names import expand_type_name, other_side
+from rsb_bridge.model.names import other_side
 from rsb_bridge.model.qos import AUTO
 from rsb_bridge.model.snapshot import RouteSnapshot
 from rsb_bridge.model.text import join_first, plural
+from rsb_bridge.model.type_names import expand_type_name
 from rsb_bridge.model.verdict import LinkCause, duration
 from rsb_bridge.model.wording import Wording
 

@@ -36,8 +36,8 @@ from rsb_bridge.model.by_hand import TICKET_LIFE, TWISTS, smallest_limits
 from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.commands import account, console
 from rsb_bridge.model.demands import NO_DEMAND
-from rsb_bridge.model.names import expand_type_name
 from rsb_bridge.model.qos import match_publishers, match_subscriptions
+from rsb_bridge.model.type_names import expand_type_name
 from rsb_bridge.ros.announcements import BY_HAND, Origin
 from rsb_bridge.route.arming import without_history
 from rsb_bridge.route.crossing import Crossing

@@ -16,9 +16,9 @@ from rsb_bridge.config.validation import build
 from rsb_bridge.config.yaml_text import SessionError
 from rsb_bridge.feature_api import Wording
 from rsb_bridge.model.limits import CHANNEL
-from rsb_bridge.model.names import SHORT_NAMES
 from rsb_bridge.model.session import Direction, Problem
 from rsb_bridge.model.transport_traits import is_mac
+from rsb_bridge.model.type_names import SHORT_NAMES
 from rsb_extras.imports.other_bridges import Choices, Imported, bridge_nodes
 
 if TYPE_CHECKING:

@@ -22,6 +22,7 @@ from rsb_extras.nodes.node_data import (
     NodeDetails,
     NodesNews,
     NodeTold,
+    moved_time,
 )
 from rsb_extras.nodes.node_watch import LOOKED_FOR, NodeWatch
 
@@ -108,7 +109,7 @@ class LinkNodes(Extension):
         self._check()
         self._one_number += 1
         found = await self._ones.ask(self._one_number, AskNode(self._one_number, node, topic))
-        return _in_time_of(round(self._link.context.now()), found)
+        return in_time_of(round(self._link.context.now()), found)
 
     def _check(self) -> None:
         if not self._link.linked:
@@ -269,13 +270,13 @@ def _unpacked(packed: bytes, decoder: msgspec.msgpack.Decoder[T]) -> T:
         raise invalid(error) from None
 
 
-def _in_time_of(now: int, details: NodeDetails) -> NodeDetails:
+def in_time_of(now: int, details: NodeDetails) -> NodeDetails:
     """Return the peer's details with times of this side's clock."""
     shift = now - details.now
-    lines = tuple(msgspec.structs.replace(each, at=each.at + shift) for each in details.lines)
+    lines = tuple(msgspec.structs.replace(each, at=moved_time(each.at, shift)) for each in details.lines)
     state, process = details.state, details.process
     if state is not None:
         state = moved(state, shift)
     if process is not None:
-        process = msgspec.structs.replace(process, since=process.since + shift)
+        process = msgspec.structs.replace(process, since=moved_time(process.since, shift))
     return msgspec.structs.replace(details, now=now, lines=lines, state=state, process=process)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from rsb_extras.nodes.node_data import MOST_NODES, MOST_PROCESSES, NodeChanges, NodeState, ProcessState
+from rsb_extras.nodes.node_data import MOST_NODES, MOST_PROCESSES, NodeChanges, NodeState, ProcessState, moved_time
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -86,7 +86,7 @@ class NodeBook:
             self.put(moved(node, shift))
         for process in changes.processes:
             before = self.processes.get(process.pid)
-            since = process.since + shift
+            since = moved_time(process.since, shift)
             # Its start is not later by the time that this message took.
             if before is not None and abs(before.since - since) < 60:
                 since = before.since
@@ -142,6 +142,6 @@ class NodeBook:
 
 def moved(node: NodeState, shift: int) -> NodeState:
     """Return a node with its times so many seconds later."""
-    ended = None if node.ended is None else node.ended + shift
-    line = None if node.line is None else msgspec.structs.replace(node.line, at=node.line.at + shift)
+    ended = None if node.ended is None else moved_time(node.ended, shift)
+    line = None if node.line is None else msgspec.structs.replace(node.line, at=moved_time(node.line.at, shift))
     return msgspec.structs.replace(node, ended=ended, line=line)

@@ -26,7 +26,8 @@ KEPT_FOR: Final = 3600.0
 PACKED_LIMIT: Final = 1 << 20
 """Bytes of an unpacked answer."""
 
-Second: TypeAlias = Annotated[int, Meta(ge=-(2**40), le=2**40)]
+_LATEST = 2**40  # s; any clock's time is less
+Second: TypeAlias = Annotated[int, Meta(ge=-_LATEST, le=_LATEST)]
 Text: TypeAlias = Annotated[str, Meta(max_length=LINE_LENGTH, pattern=PRINTABLE)]
 Short: TypeAlias = Annotated[str, Meta(max_length=64, pattern=PRINTABLE)]
 Number: TypeAlias = Annotated[int, Meta(ge=0, le=2**40)]
@@ -208,6 +209,11 @@ class OneNode(Command[NodeDetails], frozen=True, tag="node"):
     link: str | None = None
     node: str = ""
     topic: str = ""
+
+
+def moved_time(at: int, shift: int) -> int:
+    """Return a time so many seconds later. A peer that lies about its clock moves it no further than times go."""
+    return max(-_LATEST, min(_LATEST, at + shift))
 
 
 def log_text(text: str) -> str:

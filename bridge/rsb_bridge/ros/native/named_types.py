@@ -21,7 +21,7 @@ import threading
 from functools import cache, partial
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias, TypeVar
 
-from rsb_bridge.model.names import split_type_name
+from rsb_bridge.model.type_names import split_type_name
 from rsb_bridge.ros.distribution import package_of
 from rsb_bridge.ros.native import cyclone_dds
 from rsb_bridge.ros.native.fast_cdr import DESERIALIZE, SERIALIZE, SIZE

@@ -17,7 +17,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from rsb_bridge.model.names import split_type_name
+from rsb_bridge.model.type_names import split_type_name
 
 HASH_PREFIX = "RIHS01_"
 HASH_PATTERN = f"{HASH_PREFIX}[0-9a-f]{{64}}"

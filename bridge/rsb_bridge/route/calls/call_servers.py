@@ -11,7 +11,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.cdr.description import TypeClash, hashes_text
-from rsb_bridge.model.names import MOST_HOPS, Via, hop, is_bridge, node_of_hop, topic_place
+from rsb_bridge.model.hops import MOST_HOPS, Via, hop, node_of_hop, topic_place
+from rsb_bridge.model.names import is_bridge
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.calls.calls_end import Trouble
 from rsb_bridge.route.combined_verdict import named, nodes_by

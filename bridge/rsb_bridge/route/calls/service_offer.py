@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from contextlib import ExitStack
 
     from rsb_bridge.model.calls import ServiceMember
-    from rsb_bridge.model.names import Via
+    from rsb_bridge.model.hops import Via
     from rsb_bridge.ros.ros_interface import Request, ServiceServer
     from rsb_bridge.route.calls.asked_calls import AskedCalls
     from rsb_bridge.route.calls.calls_flow import CallsFlow

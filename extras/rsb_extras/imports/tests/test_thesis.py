@@ -10,9 +10,9 @@ from rsb_bridge.config.decoding import ValueMistake
 from rsb_bridge.config.name_rules import NameMistake
 from rsb_bridge.config.session_file import SessionError, dump, parse, validate
 from rsb_bridge.config.validation import SessionMistake
-from rsb_bridge.model.names import TypeNameProblem
 from rsb_bridge.model.qos import QosProblem
 from rsb_bridge.model.session import Session, Topic
+from rsb_bridge.model.type_names import TypeNameProblem
 from rsb_bridge.model.wording import Wording
 from rsb_extras.imports.importing import ImportMistake, import_file
 from rsb_extras.imports.other_bridges import Choices
