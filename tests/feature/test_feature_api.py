@@ -32,6 +32,7 @@ BEYOND = {
     "history": 14,
     "imports": 39,
     "machine_state": 1,
+    "mirrored_nodes": 6,
     "nodes": 14,
     "operators": 24,
     "own_commands": 7,
