@@ -34,6 +34,7 @@ BEYOND = {
     "imports": 39,
     "machine_state": 1,
     "mcp_server": 2,
+    "mirrored_nodes": 6,
     "node_control": 4,
     "nodes": 14,
     "operators": 24,

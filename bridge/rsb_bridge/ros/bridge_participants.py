@@ -1,8 +1,7 @@
 """Finds out which endpoints are bridges', by their DDS participants.
 
-All nodes of a bridge belong to one participant, those too that stand for nodes of another domain
-(`rsb_bridge.ros.ros_interface.Mirroring`), whose names tell nothing. A bridge publishes its announcement by
-its own node, so that its participant has that node's name.
+All nodes of a bridge belong to one participant. The names of mirrored ones tell nothing
+(`rsb_bridge.ros.ros_interface.Mirroring`). But a bridge publishes its announcement by its own node.
 """
 
 from __future__ import annotations

@@ -19,7 +19,6 @@ from rsb_bridge.ros.arrivals import EventArrivals, WaitSetArrivals
 from rsb_bridge.ros.bridge_participants import BridgeParticipants
 from rsb_bridge.ros.distribution import described
 from rsb_bridge.ros.memory import profile_variable, prompt_writer
-from rsb_bridge.ros.native.cyclone_dds import CYCLONE_DDS
 from rsb_bridge.ros.native.description_service import ask_node
 from rsb_bridge.ros.native.fast_dds_profiles import load_profiles
 from rsb_bridge.ros.native.librcl import TakeBuffer, graph_guard_condition, reset_error
@@ -78,7 +77,7 @@ _CALLS = Qos("reliable", "volatile", "keep_last", _KEPT)
 
 
 class Participant:
-    """Our own node in one domain, and nodes that stand for those of another one (*mirrored* nodes).
+    """Our own node in one domain, and *mirrored* nodes, which have the names of nodes of another domain.
 
     All are of one context, whose enclave is the own node's name: by that, other bridges know mirrored nodes.
 
@@ -103,7 +102,7 @@ class Participant:
         found, self._context = findings(), Context()
         # A secured context has the enclave whose keys it uses.
         self._why_no_mirrors = RosProblem.NO_MIRROR_SECURED() if Security(os.environ).is_on else ""
-        if found.middleware not in {FAST_DDS, CYCLONE_DDS}:
+        if found.middleware != FAST_DDS:  # whose ids of endpoints name the participant, as tests show
             self._why_no_mirrors = RosProblem.NO_MIRROR_MIDDLEWARE(middleware=found.middleware)
         enclave = () if self._why_no_mirrors else ("--enclave", f"/{node_name}")
         self._new_node = found.node
@@ -148,7 +147,7 @@ class Participant:
         self._context.destroy()
 
     def node_names(self) -> list[str]:
-        """The full names of all nodes but our own, and those that any bridge mirrors."""
+        """The full names of all nodes but our own and mirrored ones, whichever bridge mirrors them."""
         found = nodes_of(self._node.handle)
         names = (name for name, enclave in found if name != self._name and (name == enclave or not is_bridge(enclave)))
         return [sanitize_text(name, TEXT_LENGTH) for name in names]
@@ -229,7 +228,7 @@ class Participant:
         """Create a raw subscription.
 
         Args:
-            node: the mirrored node that has it, here and below; our own one without it, or if there is none.
+            node: the mirrored node that has it, here and below; without such a node, our own.
 
         Raises:
             RosError: the type, the name or the QoS will not do.

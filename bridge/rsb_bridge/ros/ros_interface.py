@@ -49,7 +49,7 @@ class RosProblem(Wording):
     ARRIVALS_NOT_TOLD = "DDS does not tell of messages that come (rcl error {code})"
     CLOSED = "the publisher is closed"
     NO_MIRROR_SECURED = "nodes cannot be mirrored in a secured domain (ROS_SECURITY_ENABLE)"
-    NO_MIRROR_MIDDLEWARE = "nodes are mirrored with rmw_fastrtps_cpp and rmw_cyclonedds_cpp, and ROS uses {middleware}"
+    NO_MIRROR_MIDDLEWARE = "nodes are mirrored with rmw_fastrtps_cpp only, and ROS uses {middleware} here"
     NO_STRINGS = "std_msgs is not installed: install {package}"
     LACKS = (
         "{distribution} lacks {name}, or has it in another form than this rsb-console knows: update rsb-console, or "

@@ -199,7 +199,7 @@ class Half(Protocol):
 
     @property
     def places(self) -> Sequence[EndPlace]:
-        """What a node of the other side's has there, and this side in its place."""
+        """The endpoints here of what a node of the other side has there."""
 
     @property
     def nodes_there(self) -> Sequence[str]:

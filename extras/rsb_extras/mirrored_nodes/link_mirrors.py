@@ -184,4 +184,4 @@ class LinkMirrors(Extension):
 
 def _is_of_all(route: Route) -> bool:
     """Whether a route is of no node: an internal one, or one of a topic that each node has."""
-    return not route.purpose.in_graph or route.local_topic in OF_EVERY_NODE
+    return not route.purpose.in_graph or not {route.topic, route.remote_topic}.isdisjoint(OF_EVERY_NODE)

@@ -5,8 +5,7 @@ from __future__ import annotations
 import contextlib
 from typing import TYPE_CHECKING
 
-from rsb_bridge.feature_api import RosError, Wording
-from rsb_bridge.model.limits import TEXT_LENGTH
+from rsb_bridge.feature_api import TEXT_LENGTH, RosError, Wording
 from rsb_bridge.model.names import is_topic_name
 from rsb_bridge.model.patterns import is_hidden
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rsb_bridge.feature_api import EnginePart, link_named
+from rsb_bridge.feature_api import EnginePart
 from rsb_extras.mirrored_nodes import GRAPH
 from rsb_extras.mirrored_nodes.link_mirrors import LinkMirrors
 from rsb_extras.mirrored_nodes.mirror_table import MirrorTable
@@ -40,4 +40,6 @@ class MirrorsPart(EnginePart):
             each.update()
 
     def _place(self, route: Route, nodes: Sequence[str]) -> None:
-        link_named(route.peer.name, self._bridge.links()).extensions.find(LinkMirrors).place(route, nodes)
+        for link in self._bridge.links():
+            if link is route.peer:
+                link.extensions.find(LinkMirrors).place(route, nodes)
