@@ -31,7 +31,7 @@ from rsb_extras.bench import loopback
 from rsb_extras.bench.results import BenchError
 from rsb_extras.demo import processes
 from rsb_extras.zenoh.endpoint import ROOT
-from rsb_extras.zenoh.outbox import Header, SampleKind
+from rsb_extras.zenoh.sample_header import Header, SampleKind
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence

@@ -33,11 +33,10 @@ from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.snapshot import State
 from rsb_console.actions.all_actions import BY_ID
 from rsb_console.app import ConsoleApp
-from rsb_console.notation.formats import AnswerText
+from rsb_console.notation.formats import AnswerText, RowText
 from rsb_console.screens.by_hand_screen import FieldsText
 from rsb_console.screens.call_screen import CallText, answer_lines
 from rsb_console.screens.dialog import ConfirmScreen
-from rsb_console.screens.main import MainText
 from rsb_console.session.parameter_values import KIND_NAMES, ValueText, refusal, set_request
 from rsb_console.widgets.lines import ScrolledLines
 
@@ -280,7 +279,7 @@ async def test_a_service_has_no_message_to_look_at(app: ConsoleApp, pilot: Pilot
         await pilot.press(*keys)
         await until(pilot, lambda: notices(app), "what it has instead")
         assert app.screen is app.main
-        assert any(says(each.message, MainText.NO_MESSAGES_BUT_CALLS, key="C") for each in notices(app))
+        assert any(says(each.message, RowText.NO_MESSAGES_BUT_CALLS, key="C") for each in notices(app))
         app.clear_notifications()
     assert not any(command[0] == "peek" for command in engine_of(app).commands)
 

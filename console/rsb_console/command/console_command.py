@@ -1,19 +1,17 @@
-"""The console as a command: the app in the terminal, and the bridge after the app has ended."""
+"""The console as a command, and the bridge after its app has ended."""
 
 from __future__ import annotations
 
 import os
 from functools import partial
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING
 
 from rsb_bridge.config.session_file import load
-from rsb_bridge.control.control_sockets import identify
-from rsb_bridge.model.commands import ReleaseArmed, acting
+from rsb_bridge.model.commands import ReleaseArmed
 from rsb_console.app import ConsoleApp
-from rsb_console.command.shell import FAILURE, HUNG_UP, OK, print_error
+from rsb_console.command import app_run
 from rsb_console.notation.ascii_signs import prefers_ascii
-from rsb_console.terminal.driver import terminal_to_itself
-from rsb_console.terminal_app import ShutdownReason, TerminalApp, crash_path, output_path
+from rsb_console.terminal_app import ShutdownReason
 
 if TYPE_CHECKING:
     from contextlib import ExitStack
@@ -24,8 +22,6 @@ if TYPE_CHECKING:
     from rsb_bridge.control.control_server import ControlServer
     from rsb_bridge.model.session import Session
     from rsb_console.command.target import Attach
-
-T = TypeVar("T")
 
 
 def run_console(
@@ -69,22 +65,8 @@ def run_console(
         temporary=temporary,
         resources=resources,
     )
-    run_app(app, mouse=mouse)
+    app_run.run_app(app, mouse=mouse)
     return _finish(app, on_hangup)
-
-
-def run_app(app: TerminalApp[T], *, mouse: bool) -> T | None:
-    """Run an app in the terminal and return its result. `TerminalApp.shutdown_reason` has the reason for its end."""
-    # The handlers come before the terminal is prepared: a SIGTERM meanwhile has to leave it as it was, too.
-    app.shut_down_on_signals()
-    returned = None
-    try:
-        with terminal_to_itself(output_path()) as app.terminal, acting(identify(os.getpid(), os.geteuid())):
-            returned = app.run(mouse=mouse)
-    except Exception:  # noqa: BLE001 -- the bridge survives any failure of the app
-        app.crashed()
-    app.has_ended()
-    return returned
 
 
 def _serve(
@@ -105,7 +87,7 @@ def _finish(app: ConsoleApp, on_hangup: str) -> int:
     survives_hangup = on_hangup == "continue"
     goes_on = crashed or (app.shutdown_reason is ShutdownReason.HANGUP and survives_hangup)
     # This reports the crash, before `bridge_on` prints hours of log.
-    code = exit_code(app)
+    code = app_run.exit_code(app)
     if app.engine is not None and not app.attached_to and goes_on:
         from rsb_console.command.headless import Signals, bridge_on  # noqa: PLC0415 -- seldom needed
 
@@ -119,10 +101,3 @@ def _finish(app: ConsoleApp, on_hangup: str) -> int:
                 code = bridge_on(app.engine, signals, crashed=crashed)
     app.stop()
     return code
-
-
-def exit_code(app: TerminalApp[Any]) -> int:
-    if app.shutdown_reason is ShutdownReason.CRASH:
-        print_error(f"the console has crashed; please report {crash_path()}")
-        return FAILURE
-    return HUNG_UP if app.shutdown_reason is ShutdownReason.HANGUP else OK

@@ -325,6 +325,14 @@ def unanswered(calls: CallsSnapshot) -> int:
     return calls.expired + calls.lost + sum(calls.refused.values())
 
 
+class RowText(Wording):
+    """The reasons why a row of a list of topics is not one whose messages can be shown."""
+
+    IS_PATTERN = "{topic} is a pattern: choose a topic that it matches"
+    NO_MESSAGES = "{topic} has calls, no messages"
+    NO_MESSAGES_BUT_CALLS = "{topic} has calls, no messages: {key} calls it by hand"
+
+
 @dataclass(frozen=True, slots=True)
 class PatternRow:
     """A pattern in a list of topics. It carries nothing, so that it has no figures, endpoints or arming.

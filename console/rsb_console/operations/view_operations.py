@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING
 from rsb_bridge.config.files import why_not_written
 from rsb_bridge.installed_features import added
 from rsb_console.actions.action import FooterEntry
-from rsb_console.notation.formats import PatternRow
+from rsb_console.notation.formats import PatternRow, RowText
 from rsb_console.screens.event_screen import EventScreen
-from rsb_console.screens.main import MainText
 from rsb_console.widgets.log import plain
 
 if TYPE_CHECKING:
@@ -82,11 +81,11 @@ def message(screen: MainScreen) -> None:
     if route is None or screen.console.engine is None:
         return
     if isinstance(route, PatternRow):
-        screen.notify(MainText.IS_PATTERN(topic=route.topic), markup=False, timeout=4)
+        screen.notify(RowText.IS_PATTERN(topic=route.topic), markup=False, timeout=4)
     elif route.calls is None:
         _show_messages(screen, route)
     else:
-        text = MainText.NO_MESSAGES if screen.console.readonly else MainText.NO_MESSAGES_BUT_CALLS
+        text = RowText.NO_MESSAGES if screen.console.readonly else RowText.NO_MESSAGES_BUT_CALLS
         screen.notify(text(topic=route.topic, key=screen.explanations.key("call")), markup=False, timeout=4)
 
 

@@ -47,9 +47,6 @@ class MainText(Wording):
 
     LATE = "YOUR LINE IS {late:.0f} s LATE: {key} sends less"
     READ_ONLY = "read-only: nothing can be changed here"
-    IS_PATTERN = "{topic} is a pattern: choose a topic that it matches"
-    NO_MESSAGES = "{topic} has calls, no messages"
-    NO_MESSAGES_BUT_CALLS = "{topic} has calls, no messages: {key} calls it by hand"
 
 
 class Explanations:

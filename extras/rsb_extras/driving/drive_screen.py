@@ -24,9 +24,8 @@ from rsb_bridge.feature_api import Effect, EngineError, Wording, escape_text, jo
 from rsb_bridge.model.audience import NOBODY
 from rsb_bridge.model.by_hand import smallest_limits
 from rsb_console.feature_console import DIALOG, ConfirmScreen, GuardedScreen, SideBox
-from rsb_console.notation.formats import PatternRow, driver_name, driver_rate, full_type
+from rsb_console.notation.formats import PatternRow, RowText, driver_name, driver_rate, full_type
 from rsb_console.screens.dialog import ArmScreen
-from rsb_console.screens.main import MainText
 from rsb_console.screens.take_over import AskHolderScreen
 from rsb_console.terminal.input_queue import SEEN_AFTER, InputGate
 from rsb_extras.driving.landing import ByHandText, Landing, hearing
@@ -194,7 +193,7 @@ async def drive_selected(screen: MainScreen) -> None:
     """Drive on the topic under the cursor."""
     row, console = screen.topics.selected, screen.console
     if isinstance(row, PatternRow):
-        console.notify(MainText.IS_PATTERN(topic=row.topic), markup=False, timeout=4)
+        console.notify(RowText.IS_PATTERN(topic=row.topic), markup=False, timeout=4)
     elif console.engine is not None and row is not None:
         await drive(console, row)
 

@@ -10,7 +10,7 @@ from textual import work
 
 from rsb_bridge.feature_api import Effect
 from rsb_console.app import SSH_RATE, ConsoleApp
-from rsb_console.command import console_command
+from rsb_console.command import app_run
 from rsb_console.feature_console import DIALOG, MainScreen, TerminalApp
 from rsb_console.notation.ascii_signs import prefers_ascii
 from rsb_console.terminal_app import ShutdownReason
@@ -137,9 +137,9 @@ def run_fleet(
     view, ascii_only = FleetView(), ascii_only or prefers_ascii(os.environ)
     while True:
         app = FleetApp(fleet, view, readonly=readonly, ascii_only=ascii_only, theme=theme, after_quit=after_quit)
-        robot = console_command.run_app(app, mouse=mouse)
+        robot = app_run.run_app(app, mouse=mouse)
         if robot is None or app.shutdown_reason is not ShutdownReason.QUIT:
-            return console_command.exit_code(app)
+            return app_run.exit_code(app)
         # Each app is a new one, and the operator's choice of a theme would be lost with each robot that is opened.
         theme = app.theme
         console = RobotApp(
@@ -150,8 +150,8 @@ def run_fleet(
             theme=theme,
             attach_to=partial(robot.source.open, robot.summary.name, read_only=readonly),
         )
-        console_command.run_app(console, mouse=mouse)
+        app_run.run_app(console, mouse=mouse)
         console.stop()
         if console.shutdown_reason is not ShutdownReason.QUIT:
-            return console_command.exit_code(console)
+            return app_run.exit_code(console)
         theme = console.theme

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from rsb_bridge.feature_api import ControlServer
     from rsb_extras.operators.fleet_file import FleetFile
     from rsb_extras.zenoh.endpoint import Seen, ZenohEndpoint
-    from rsb_extras.zenoh.outbox import Header
+    from rsb_extras.zenoh.sample_header import Header
 
 ENGINE, CONSOLE = "engine", "console"
 """The services by which engines and consoles announce themselves."""

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.feature_api import Effect, Wording, escape_text
 from rsb_console.feature_console import ConfirmScreen
-from rsb_console.notation.formats import PatternRow
-from rsb_console.screens.main import MainText
+from rsb_console.notation.formats import PatternRow, RowText
 from rsb_extras.own_commands.interactive import run_in_terminal
 from rsb_extras.own_commands.output_screen import OutputScreen, code_text, end_of
 from rsb_extras.own_commands.own_command import UnsafeValueError
@@ -57,7 +56,7 @@ async def run_on_main(command: OwnCommand, screen: MainScreen) -> None:
     if command.where == "topic":
         row = screen.topics.selected
         if isinstance(row, PatternRow):
-            screen.notify(MainText.IS_PATTERN(topic=row.topic), markup=False, timeout=4)
+            screen.notify(RowText.IS_PATTERN(topic=row.topic), markup=False, timeout=4)
         elif row is not None:
             await _run(command, screen.console, values_of_topic(screen.console, row))
     elif command.where == "link":

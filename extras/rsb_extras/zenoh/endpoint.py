@@ -23,7 +23,8 @@ from urllib.parse import quote, unquote
 
 from rsb_bridge.feature_api import Wording, in_thread, sanitize_text
 from rsb_bridge.wire.framing import STRANGER_LIMIT
-from rsb_extras.zenoh.outbox import HEADER_LENGTHS, Header, SampleKind, SampleOutbox
+from rsb_extras.zenoh.outbox import SampleOutbox
+from rsb_extras.zenoh.sample_header import HEADER_LENGTHS, Header, SampleKind
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -1,4 +1,4 @@
-"""An endpoint's samples: their attachments (PROTOCOL.md, 12), and sending, on a thread if it may take long.
+"""Sends an endpoint's samples, on a thread if it may take long.
 
 Zenoh blocks a sender while its queue is full (`CongestionControl.BLOCK`), for up to 5 s, and the loop must not
 wait. The queue of each priority has 16 batches of 64 kB, each at least half full while it waits. So these fit it, even
@@ -13,13 +13,11 @@ than `AT_ONCE`, a long call shows it. If the other end's reports are false, it s
 
 from __future__ import annotations
 
-import struct
 import threading
 from collections import deque
-from enum import IntEnum
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from rsb_bridge.wire.sealing import TAG_LENGTH
+from rsb_extras.zenoh.sample_header import SampleKind
 
 if TYPE_CHECKING:
     import asyncio
@@ -27,9 +25,8 @@ if TYPE_CHECKING:
 
     import zenoh
 
-_HEADER = struct.Struct(">BBQ")
-HEADER_LENGTHS = (_HEADER.size, _HEADER.size + TAG_LENGTH)
-"""Bytes of attachments, without a tag and with one."""
+    from rsb_extras.zenoh.sample_header import Header
+
 AT_ONCE = 100 * 1024
 """Bytes of one rank in one second that are sent on the loop's thread: in 5 s less than the 512 KiB below."""
 IN_FLIGHT = 256 * 1024
@@ -53,44 +50,6 @@ loop."""
 _DISBELIEVED_FOR = 600.0
 """s for which reports do not count after such a call while little was in flight by them: false reports hold up the loop
 once in so long."""
-
-
-class SampleKind(IntEnum):
-    """The kind of a stream's sample, which gives its number a meaning: it is..."""
-
-    DATA = 1
-    """... its place among these, from 0."""
-    WINDOW = 2
-    """... how many bytes this side has taken in so far."""
-    END = 3
-    """... how many samples of data came before; the payload says why."""
-
-
-class Header(NamedTuple):
-    """The attachment of a sample of a stream.
-
-    Attributes:
-        kind: a `SampleKind`; other numbers are passed over.
-        rank: of the stream's priority; `SampleOutbox` has the ranks.
-        tag: proves that the peer sent the sample, or is empty.
-    """
-
-    kind: int
-    rank: int
-    number: int
-    tag: bytes = b""
-
-    def pack(self) -> bytes:
-        """Return the attachment."""
-        return _HEADER.pack(*self[:3]) + self.tag
-
-    @classmethod
-    def unpack(cls, attachment: bytes) -> Header | None:
-        """Read an attachment; return None if it is not that of a stream's sample."""
-        if len(attachment) not in HEADER_LENGTHS:
-            return None
-        kind, rank, number = _HEADER.unpack_from(attachment)
-        return cls(kind, rank, number, attachment[_HEADER.size :])
 
 
 class SampleOutbox:

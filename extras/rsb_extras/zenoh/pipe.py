@@ -22,7 +22,8 @@ from rsb_bridge.feature_api import Wording, sanitize_text
 from rsb_bridge.transport.streams import OpenNetworkTransport
 from rsb_bridge.wire.framing import STRANGER_LIMIT
 from rsb_bridge.wire.sealing import SampleTags
-from rsb_extras.zenoh.outbox import IN_FLIGHT, LINK_RANK, OWN_COST, Header, SampleKind
+from rsb_extras.zenoh.outbox import IN_FLIGHT, LINK_RANK, OWN_COST
+from rsb_extras.zenoh.sample_header import Header, SampleKind
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from rsb_bridge.transport.network_news import NetworkNews
     from rsb_extras.zenoh.endpoint import Seen, ZenohEndpoint
     from rsb_extras.zenoh.network import Network
-    from rsb_extras.zenoh.outbox import Header
+    from rsb_extras.zenoh.sample_header import Header
 
 SERVER, CLIENT = "server", "client"
 """The services by which the two sides of links announce themselves."""

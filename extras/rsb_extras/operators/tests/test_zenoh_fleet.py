@@ -27,7 +27,7 @@ from rsb_bridge.transport.trials import Trials
 from rsb_extras.operators.tests import operator_places
 from rsb_extras.operators.tests.zenoh_fleet import Fleet, announced
 from rsb_extras.operators.zenoh_fleet import EngineChoice, FleetConnector
-from rsb_extras.zenoh.outbox import Header
+from rsb_extras.zenoh.sample_header import Header
 from rsb_extras.zenoh.tests import zenoh_places
 from rsb_extras.zenoh.tests.zenoh_attacker import TAG, Attacker
 from rsb_extras.zenoh.tests.zenoh_router import stranger

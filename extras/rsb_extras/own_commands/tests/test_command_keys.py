@@ -342,7 +342,7 @@ def test_interactive_command_gets_the_terminal_and_gives_it_back(in_tmux: Tmux) 
 CHANGING = """
 import itertools, sys
 from pathlib import Path
-from rsb_console.command.console_command import run_app
+from rsb_console.command.app_run import run_app
 from rsb_console.app import ConsoleApp
 from tests.console.driving import scripted_app
 changes, ready = itertools.count(), ConsoleApp.on_ready
@@ -383,7 +383,7 @@ commands:
 CONSOLE = """
 import sys
 from pathlib import Path
-from rsb_console.command.console_command import run_app
+from rsb_console.command.app_run import run_app
 from tests.console.driving import scripted_app
 run_app(scripted_app(config=Path(sys.argv[1])), mouse=False)
 """

@@ -32,7 +32,7 @@ from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import LinkCause
 from rsb_extras.zenoh import ZenohSettings
 from rsb_extras.zenoh import endpoint as endpoints
-from rsb_extras.zenoh.outbox import Header, SampleKind
+from rsb_extras.zenoh.sample_header import Header, SampleKind
 from rsb_extras.zenoh.tests.zenoh_router import Router, stranger
 
 if TYPE_CHECKING:

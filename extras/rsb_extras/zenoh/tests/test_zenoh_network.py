@@ -25,8 +25,8 @@ from rsb_extras.zenoh import HOW_TO_INSTALL, ZenohSettings
 from rsb_extras.zenoh import endpoint as endpoints
 from rsb_extras.zenoh.endpoint import ROOT, Seen
 from rsb_extras.zenoh.network import Network, NetworkProblem
-from rsb_extras.zenoh.outbox import Header, SampleKind
 from rsb_extras.zenoh.pipe import SAMPLE
+from rsb_extras.zenoh.sample_header import Header, SampleKind
 from rsb_extras.zenoh.tests import zenoh_places
 from rsb_extras.zenoh.unreachable import Unreachable
 from rsb_extras.zenoh.zenoh_transport import FleetText, Links, ZenohTransport

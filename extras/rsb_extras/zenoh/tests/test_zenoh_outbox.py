@@ -10,7 +10,8 @@ import pytest
 from tests.support.virtual_time import VirtualLoop, virtual_loop
 from tests.support.waiting import eventually
 
-from rsb_extras.zenoh.outbox import AT_ONCE, IN_FLIGHT, LINK_RANK, OWN_COST, Header, SampleKind, SampleOutbox
+from rsb_extras.zenoh.outbox import AT_ONCE, IN_FLIGHT, LINK_RANK, OWN_COST, SampleOutbox
+from rsb_extras.zenoh.sample_header import Header, SampleKind
 
 zenoh = pytest.importorskip("zenoh")
 

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 import pytest
 
 from rsb_bridge.wire.framing import STRANGER_LIMIT
-from rsb_extras.zenoh.outbox import OWN_COST, Header, SampleKind
+from rsb_extras.zenoh.outbox import OWN_COST
 from rsb_extras.zenoh.pipe import SAMPLE, WINDOW, Pipe, PipeProblem
+from rsb_extras.zenoh.sample_header import Header, SampleKind
 from rsb_extras.zenoh.tests.zenoh_pipes import Pair, Sent, Side
 
 if TYPE_CHECKING:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 def test_refused_stream_over_zenoh_is_freed_at_once(bridge: Bridge, arrived: list[weakref.ref[object]]) -> None:
     zenoh = pytest.importorskip("zenoh")
     from rsb_extras.zenoh.endpoint import ROOT
-    from rsb_extras.zenoh.outbox import Header, SampleKind
+    from rsb_extras.zenoh.sample_header import Header, SampleKind
     from rsb_extras.zenoh.tests.zenoh_router import Router, stranger
 
     router = Router()

@@ -19,7 +19,7 @@ from typing import Any
 import zenoh
 
 from rsb_bridge.wire.preamble import PreambleKind
-from rsb_extras.zenoh.outbox import Header, SampleKind
+from rsb_extras.zenoh.sample_header import Header, SampleKind
 
 TAG = bytes(16)
 KEPT = 1000

@@ -6,8 +6,9 @@ import asyncio
 from typing import TYPE_CHECKING, NamedTuple, cast
 
 from rsb_bridge.wire.sealing import SampleTags
-from rsb_extras.zenoh.outbox import OWN_COST, Header, SampleKind
+from rsb_extras.zenoh.outbox import OWN_COST
 from rsb_extras.zenoh.pipe import Pipe
+from rsb_extras.zenoh.sample_header import Header, SampleKind
 
 if TYPE_CHECKING:
     from rsb_extras.zenoh.endpoint import ZenohEndpoint
