@@ -153,11 +153,12 @@ _ELSEWHERE = {
     "demo --fleet --no-ui --seconds 30": (
         _OF_FLEET, "test_each_engine_is_linked_and_has_a_line"
     ),
+    "mcp": ("../extras/rsb_extras/mcp_server/tests/test_mcp.py", "test_each_reading_tool_answers"),
     "run robot1.yaml --no-ui": (
         "command/test_remote.py", "test_headless_bridge_is_attached_to_changed_and_stopped"
     ),
 }  # fmt: skip
-"""Lines that need ROS nodes, minutes or a Bluetooth adapter, and the test that runs the command with these options."""
+"""Lines that need nodes, minutes, a program or an adapter, and the test that runs the command with these options."""
 _COMPLETE = {"fleet dismiss robot1": "fleet dismiss robot9", "wait --for flowing": "wait --for flowing /scan"}
 """Lines whose placeholder is a robot that has gone, or whose condition a sentence leaves open."""
 _BEFORE = {

@@ -12,7 +12,7 @@ from rsb_bridge.config.keys import generate
 from rsb_bridge.model.by_hand import VelocityLimits
 from rsb_bridge.model.keep import Keep
 from rsb_bridge.model.session import RANKS, Direction
-from rsb_bridge.model.topic_keys import TOPIC_KEYS
+from rsb_bridge.model.topic_keys import CORE_KEYS
 from rsb_bridge.model.transports import Protocol
 
 KEY = generate().decode()
@@ -44,9 +44,9 @@ numbers = st.none() | st.sampled_from([0.0, 1.0, 5.0, -1.0, 1e-9, 1e12, math.inf
 
 
 FIELDS: dict[str, st.SearchStrategy[Any]] = {
-    **{name: st.booleans() for name, key in TOPIC_KEYS.items() if key.value == "switch"},
-    **{name: st.none() | st.booleans() for name, key in TOPIC_KEYS.items() if key.value == "choice"},
-    **{name: numbers for name, key in TOPIC_KEYS.items() if key.value == "number"},
+    **{name: st.booleans() for name, key in CORE_KEYS.items() if key.value == "switch"},
+    **{name: st.none() | st.booleans() for name, key in CORE_KEYS.items() if key.value == "choice"},
+    **{name: numbers for name, key in CORE_KEYS.items() if key.value == "number"},
     "topic": names,
     "direction": st.sampled_from(get_args(Direction)),
     "type": st.sampled_from(TYPES) | st.text(max_size=8),

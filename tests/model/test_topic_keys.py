@@ -9,14 +9,14 @@ import pytest
 
 from rsb_bridge.config.file_form import KEYS, LISTS
 from rsb_bridge.model.session import Kind, Topic
-from rsb_bridge.model.topic_keys import TOPIC_KEYS
+from rsb_bridge.model.topic_keys import CORE_KEYS, TOPIC_KEYS
 from rsb_bridge.wire.messages import Amend, Propose
 
 _FIELDS = {field.name: field for field in msgspec.structs.fields(Topic)}
 
 
 def test_each_field_is_a_key() -> None:
-    assert TOPIC_KEYS.keys() == _FIELDS.keys() - {"kind", "features"}
+    assert CORE_KEYS.keys() == _FIELDS.keys() - {"kind", "features"}
 
 
 @pytest.mark.parametrize("kind", LISTS)

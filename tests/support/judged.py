@@ -141,6 +141,7 @@ def topic_half(now: float = 0.0, **facts: Any) -> Any:
     half.ends = _always((known["publisher_nodes"], None, None))
     half.proposal = SimpleNamespace(compression=known["compression"])
     half.resolver = half.subscription = half
+    half.of_transforms = None
     for name in (
         "endpoints", "type_name", "qos", "unresolved", "elsewhere", "unmatched", "audience", "others", "clocks",
         "type_before", "malformed", "loss_unexplained",

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import json
+import signal
 import sys
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 from rsb_bridge.feature_api import Wording, escape_text
-from rsb_console.feature_console import FAILURE, OK, failed
+from rsb_console.feature_console import FAILURE, OK, failed, print_error
 from rsb_extras.mcp_server.mcp_tools import TOOLS, ToolError, ToolProblem, bounded
 
 if TYPE_CHECKING:
@@ -28,6 +29,7 @@ _LAST_LINES = 100
 class McpText(Wording):
     """Texts for the program and its user."""
 
+    NO_PROGRAM = "a program starts this and speaks to it; Ctrl-C ends it (docs: a door for programs)"
     NOT_INSTALLED = "mcp is not installed: pip install 'rsb-console[mcp]'"
     TOO_LONG = "the answer has more than {most} MiB: ask for less"
     TOO_SLOW = "no answer within {seconds:g} s: look whether the bridge runs (status)"
@@ -44,6 +46,11 @@ def mcp(arguments: Namespace) -> int:
         import mcp.server.stdio  # noqa: F401, PLC0415 -- only this command needs it, which takes 1 s and 60 MB
     except ImportError:
         return failed(arguments, McpText.NOT_INSTALLED(), FAILURE)
+    # The package reads stdin on a thread that nothing interrupts: this process would wait for the program's next word.
+    for each in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(each, signal.SIG_DFL)
+    if sys.stdin.isatty():
+        print_error(McpText.NO_PROGRAM())
     offered = {name: tool for name, tool in TOOLS.items() if arguments.allow_changes or not tool.changes}
     asyncio.run(_serve(Commands(bridge_words(arguments)), offered))
     return OK

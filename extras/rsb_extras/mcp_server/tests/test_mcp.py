@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
+import pty
+import signal
+import subprocess
 import sys
 from typing import TYPE_CHECKING, Any
 
@@ -159,6 +163,25 @@ def test_without_the_package_the_remedy_is_named(ran: Callable[..., Ran], monkey
     found = ran("mcp")
     assert found.code == 1
     assert found.err == "rsb-console: mcp is not installed: pip install 'rsb-console[mcp]'\n"
+
+
+@pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM])
+def test_a_terminal_gets_a_hint_and_ends_it(ending: signal.Signals) -> None:
+    pytest.importorskip("mcp", reason="the extra mcp")
+    terminal, end = pty.openpty()
+    words = [sys.executable, "-P", "-m", "rsb_console", "mcp"]
+    process = subprocess.Popen(words, stdin=end, stdout=end, stderr=end, start_new_session=True)
+    os.close(end)
+    try:
+        said = b""
+        while b"a program starts this" not in said:
+            said += os.read(terminal, 4096)
+        process.send_signal(ending)
+        assert process.wait(180) == -ending
+    finally:
+        process.kill()
+        process.wait()
+        os.close(terminal)
 
 
 # -- answers
