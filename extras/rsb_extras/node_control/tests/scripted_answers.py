@@ -29,6 +29,7 @@ SIDES = (
         Managed(
             (
                 ManagedNode("/controller", "unconfigured", ("configure", "shutdown")),
+                ManagedNode("/lidar_driver", "active", ("deactivate", "shutdown"), True),
                 ManagedNode("/nav/planner_server", "inactive", ("activate", "cleanup", "shutdown"), True),
                 ManagedNode("/silent"),
             ),
@@ -40,7 +41,7 @@ SIDES = (
 
 
 def _changed(command: ChangeNodes) -> ChangeOutcome:
-    return FAILED if command.target == "nav" else DONE
+    return FAILED if (command.target, command.action) == ("nav", "down") else DONE
 
 
 ANSWERS: dict[Any, Any] = {
