@@ -20,7 +20,7 @@ def armed_of_nodes(links: Iterable[Link], nodes: Sequence[str], ros: RosInterfac
     """Return the name of a route that is armed, and that one of some nodes takes, or an empty string.
 
     Args:
-        nodes: full names; of none, whatever is armed counts.
+        nodes: full names; without any, all that is armed counts.
         asker: the link of the peer that asks. It gets the name of another link's route only if it may know that.
     """
     for link, route in ((each, route) for each in links for route in each.routes.values()):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import textwrap
 from typing import TYPE_CHECKING, ClassVar
 
 from rich.cells import cell_len
@@ -39,7 +40,8 @@ _RENEWED_EVERY = 1.0  # s; the bridges look at the nodes as often
 _MOST_LINKS = 8
 """Links of a server that are asked each time; with more, only that of the topic under the cursor. A round figure."""
 _LOOKS = {"active": "ok", "inactive": "waiting", "unconfigured": "waiting", "finalized": "down"}
-HELP = "u up   w down   c configure   a activate   d deactivate   n clean up   S shut down"
+_WIDTH = 76  # cells, until the screen is laid out
+HELP = "u up  w down  c configure  a activate  d deactivate  n clean up  S shut down"
 _KEYS: dict[str, LifecycleAction] = {
     "u": "up", "w": "down", "c": "configure", "a": "activate", "d": "deactivate", "n": "cleanup", "S": "shutdown",
 }  # fmt: skip
@@ -158,7 +160,7 @@ class LifecycleScreen(ModalScreen[None]):
     def show_steps(self) -> None:
         row = self.table.selected
         last = None if row is None else outcomes(self._sides).get(row.key)
-        self.steps.show([] if row is None or last is None else _lines(row, *last))
+        self.steps.show([] if row is None or last is None else _lines(row, *last, self.steps.size.width or _WIDTH))
 
     def on_selectable_list_cursor_moved(self) -> None:
         self.show_steps()
@@ -211,13 +213,14 @@ def _ended(row: LifecycleRow, text: str) -> str:
     return LifecycleText.ENDED(target=row.name, side=row.side, text=text)
 
 
-def _lines(row: LifecycleRow, action: LifecycleAction, outcome: ChangeOutcome) -> Iterator[Line]:
+def _lines(row: LifecycleRow, action: LifecycleAction, outcome: ChangeOutcome, width: int) -> Iterator[Line]:
     text = _ended(row, ChangeText.of(action, outcome))
     if not outcome.is_over:
         yield ((text, "waiting"),)
     else:
         sign, look = (DONE, "ok") if outcome.done else (FAILED, "down")
-        yield ((f"{sign} {text}", look),)
+        wrapped = textwrap.wrap(f"{sign} {text}", max(20, width), subsequent_indent="  ")
+        yield from (((line, look),) for line in wrapped)
     for step in outcome.steps:
         sign, look = (FAILED, "down") if step.reason else (DONE, "ok")
         yield ((f"  {sign} ", look), (ChangeText.of_step(step), ""))

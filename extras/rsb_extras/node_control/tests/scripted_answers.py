@@ -29,6 +29,7 @@ SIDES = (
         Managed(
             (
                 ManagedNode("/controller", "unconfigured", ("configure", "shutdown")),
+                ManagedNode("/lidar_driver", "active", ("deactivate", "shutdown"), True),
                 ManagedNode("/nav/planner_server", "inactive", ("activate", "cleanup", "shutdown"), True),
                 ManagedNode("/silent"),
             ),
@@ -40,10 +41,7 @@ SIDES = (
 
 
 def _changed(command: ChangeNodes) -> ChangeOutcome:
-    return FAILED if command.target == "nav" else DONE
+    return FAILED if (command.target, command.action) == ("nav", "down") else DONE
 
 
-ANSWERS: dict[Any, Any] = {
-    ListManaged: lambda command: tuple(each for each in SIDES if command.link in ("", each.link)),
-    ChangeNodes: _changed,
-}
+ANSWERS: dict[Any, Any] = {ListManaged: lambda _: SIDES, ChangeNodes: _changed}

@@ -38,6 +38,7 @@ def test_nodes_and_groups_of_both_sides_are_listed(machine: Machine, ran: Run) -
         "/camera              this side   active                      deactivate shutdown",
         "nav                  the server  1 inactive, 1 unconfigured  up down",
         "/controller          the server  unconfigured                no right",
+        "/lidar_driver        the server  active                      deactivate shutdown",
         "/nav/planner_server  the server  inactive                    activate cleanup shutdown",
         "/silent              the server  no answer                   no right",
     ]
@@ -67,12 +68,12 @@ def test_a_change_asks_first(machine: Machine, ran: Run) -> None:
 
 def test_a_refusal_is_the_last_step(machine: Machine, ran: Run) -> None:
     machine.serve()
-    failed = ran("lifecycle", "up", "nav", "--yes")
+    failed = ran("lifecycle", "down", "nav", "--yes")
     assert (failed.code, failed.out.splitlines()[-1]) == (
         FAILURE, "  /controller  configure  /controller refused to configure  0.3 s"
     )  # fmt: skip
-    assert "nav of the server: up: /controller refused to configure, and is unconfigured now" in failed.err
-    found = ran("lifecycle", "up", "nav", "--yes", "--json")
+    assert "nav of the server: down: /controller refused to configure, and is unconfigured now" in failed.err
+    found = ran("lifecycle", "down", "nav", "--yes", "--json")
     assert found.code == FAILURE
     assert (found.json["ok"], len(found.json["steps"]), found.json["target"]) == (False, 2, "nav")
 
@@ -107,4 +108,11 @@ def test_a_real_group_comes_up(bridge: Bridge, machine: Machine, ran: Run, robot
 
 def test_names_are_completed(machine: Machine, here: None) -> None:
     machine.serve()
-    assert target_names(Namespace()) == ["/camera", "nav", "/controller", "/nav/planner_server", "/silent"]
+    assert target_names(Namespace()) == [
+        "/camera",
+        "nav",
+        "/controller",
+        "/lidar_driver",
+        "/nav/planner_server",
+        "/silent",
+    ]

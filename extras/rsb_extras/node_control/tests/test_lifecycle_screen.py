@@ -27,7 +27,7 @@ def told(app: ConsoleApp) -> list[tuple[object, ...]]:
 
 async def opened(pilot: Pilot[None], *down: str) -> None:
     await pilot.press("X")
-    await shown(pilot, "no answer")
+    await shown(pilot, "1 inactive, 1 unconfigured")
     await pilot.press(*down)
 
 
@@ -39,7 +39,8 @@ async def test_nodes_and_groups_are_shown_with_the_last_change(app: ConsoleApp, 
     assert "/controller the server unconfigured no right" in lines
     assert any(line.startswith("nav the server 1 inactive, 1 unconfigured up down") for line in lines)
     await pilot.press("j")
-    await shown(pilot, "/controller refused to configure, and is unconfigured now")
+    await shown(pilot, "nav of the server: up: /controller refused to configure, and is")
+    await until(pilot, lambda: "see its log" in text(app), "the whole reason")
     await shown(pilot, "/nav/planner_server  configure  inactive  1.2 s")
     await pilot.press("escape")
     await gone(pilot, "no right")
