@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 _FIRST_DELAY, _LONGEST_DELAY = 0.5, 30.0
 """s. Round figures: a subscription that fails at once costs an attempt each 30 s in the end."""
 _APART = 0.5
-"""s. Between two subscriptions of which the publisher is to notice that one has gone. A node that works for so long when
-both changes come hears of them as of one, by which the number of its subscriptions has not changed."""
+"""s. Between two subscriptions of which the publisher is to notice that one has gone. A node that works for so long
+when both changes come hears of them as of one, by which the number of its subscriptions has not changed."""
 _HEALED_AFTER = 60.0
 """s after which a failure is a new one, with the first delay again: twice the longest delay."""
 
