@@ -149,7 +149,7 @@ class LinkFrames(Extension):
         self._link = link
         self._plans: dict[tuple[str, bool, bool], RewritePlan | None] = {}  # by hash, frames, stamps
         self._stamps = StampShift()
-        self._of_link = self._wish_of_link()
+        self._of_link: _Wish | None = None  # as of the last look; rights are there only once the link is made
         self._not_described: set[str] = set()  # keys of routes
         self._looks_at = 0.0
         self._restamps = False  # whether any topic has asked for it so far
@@ -160,7 +160,7 @@ class LinkFrames(Extension):
         return _Wish(LINK_PREFIX.of(rights), LINK_RESTAMP.of(rights))
 
     def _wish(self, route: Route) -> _Wish:
-        link, prefix, restamp = self._of_link, PREFIX.of(route.spec), RESTAMP.of(route.spec)
+        link, prefix, restamp = self._wish_of_link(), PREFIX.of(route.spec), RESTAMP.of(route.spec)
         return _Wish(link.prefix if prefix is None else prefix, link.restamp if restamp is None else restamp)
 
     def _transform(self, route: Route) -> Coroutine[None, None, MessageTransform | None] | None:
@@ -195,7 +195,7 @@ class LinkFrames(Extension):
         self._look_at_clock()
 
     def tick(self) -> None:
-        if (wish := self._wish_of_link()) != self._of_link:
+        if (wish := self._wish_of_link()) != self._of_link:  # at first, and after a reload
             self._of_link = wish
             for route in self._link.routes.values():
                 _choose(route)
