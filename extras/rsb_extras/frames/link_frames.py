@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from enum import StrEnum
+from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.cdr.description import DescriptionError, read_description
@@ -23,7 +24,7 @@ from rsb_extras.frames import LINK_PREFIX, LINK_RESTAMP, PREFIX, RESTAMP, RESTAM
 from rsb_extras.frames.message_rewriter import Rewriter, UnknownTypeError, compile_plan
 
 if TYPE_CHECKING:
-    from collections.abc import Coroutine, Iterator
+    from collections.abc import Awaitable, Callable, Iterator
 
     from rsb_bridge.feature_api import Link, Route
     from rsb_extras.frames.message_rewriter import RewritePlan
@@ -163,9 +164,9 @@ class LinkFrames(Extension):
         link, prefix, restamp = self._wish_of_link(), PREFIX.of(route.spec), RESTAMP.of(route.spec)
         return _Wish(link.prefix if prefix is None else prefix, link.restamp if restamp is None else restamp)
 
-    def _transform(self, route: Route) -> Coroutine[None, None, MessageTransform | None] | None:
+    def _transform(self, route: Route) -> Callable[[], Awaitable[MessageTransform | None]] | None:
         wish = self._wish(route)
-        return self._find(route, wish) if any(wish) else None
+        return partial(self._find, route, wish) if any(wish) else None
 
     async def _find(self, route: Route, wish: _Wish) -> MessageTransform | None:
         type_hash = route.half.carried.type_hash
