@@ -45,7 +45,7 @@ class _Shouts(Extension):
         if self.link.is_client:
             return None
         self.asked += 1
-        return self._later()
+        return self._later
 
     async def _later(self) -> Any:
         await self.answered.wait()

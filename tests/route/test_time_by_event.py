@@ -347,13 +347,13 @@ def test_half_says_each_reason_for_which_it_is_not_calm(
     half.carried.endpoints = (TALKER,)
     loop.jump(10.0)
     half.route.tick()
-    assert half.route._is_calm(loop.time())
+    assert half.route.is_calm(loop.time())
     *path, last = name.split(".")
     part = half
     for each in path:
         part = getattr(part, each)
     with patch.object(part, last, value):
-        assert not half.route._is_calm(loop.time())
+        assert not half.route.is_calm(loop.time())
 
 
 def test_route_that_comes_to_rest_has_to_be_shown_once_more(

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from rsb_bridge.link.link_end import LinkEnd
     from rsb_bridge.model.transports import LinkProfile
     from rsb_bridge.model.verdict import Verdict
-    from rsb_bridge.route.message_transform import FoundTransforms
+    from rsb_bridge.route.message_transform import FindTransforms
     from rsb_bridge.route.peer import LinkPath, LinkRates
     from rsb_bridge.route.route import Route
     from rsb_bridge.telemetry.event_log import About
@@ -142,7 +142,7 @@ class BaseLink:
         self.route_fields, self.meter_of = self.extensions.route_fields, self.extensions.meter_of
         self.verdicts: Callable[[Route], Iterable[Verdict]] | None = None
         self.explain: Callable[[Route, Verdict], Verdict] | None = None
-        self.transforms: Callable[[Route], FoundTransforms | None] | None = None
+        self.transforms: Callable[[Route], FindTransforms | None] | None = None
         self.keepalive = Keepalive(self)
         self.clock, self.stamps = self.keepalive.clock, self.keepalive.stamps
         self.shortages_told: set[bool] = set()  # of kernel buffers, here or there

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from rsb_bridge.config.name_rules import name_problems
@@ -16,13 +17,13 @@ from rsb_bridge.route.message_transform import FailedTransform
 from rsb_bridge.tasks import in_slices
 
 if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable, Collection, Iterable, Mapping
+    from collections.abc import Callable, Collection, Iterable, Mapping
 
     from rsb_bridge.channel.data_keys import Meter
     from rsb_bridge.config.rights import DeniedUse, Rights
     from rsb_bridge.link.control_channel import Slices
     from rsb_bridge.model.purposes import Purpose
-    from rsb_bridge.route.message_transform import FoundTransforms, MessageTransform, Transforms
+    from rsb_bridge.route.message_transform import FindTransform, FindTransforms, MessageTransform, Transforms
     from rsb_bridge.route.route import Route
     from rsb_bridge.wire.records import RefuseCode
 
@@ -42,16 +43,17 @@ class Extension:
         explanation: returns the core's verdict on one of its routes with more in its text, or None if it knows nothing
             more. State and cause stay as they are. It is asked when `verdict` is, of what is not fine. None if it never
             knows more.
-        transform: returns None at once if the messages of a topic that comes in stay as they are, or work that finds
-            what changes them, if anything does. It is asked in each opening once the topic's type is known, whose first
-            messages wait for the answer, and again after `Receiver.choose_transforms`. None if it changes nothing.
+        transform: returns None at once if the messages of a topic that comes in stay as they are, or an async function
+            that finds what changes them, if anything does. It is asked in each opening once the topic's type is known,
+            whose first messages wait for the answer, and again after `Receiver.choose_transforms`. None if it changes
+            nothing.
     """
 
     feature: str = ""
     messages: Mapping[type, Callable[[Any], Slices | None]] = {}
     purpose: Purpose | None = None
     explanation: Callable[[Any, Verdict], Verdict | None] | None = None
-    transform: Callable[[Any], Awaitable[MessageTransform | None] | None] | None = None
+    transform: Callable[[Any], FindTransform | None] | None = None
 
     def connected(self) -> None:
         """Begin an association: the peer is authenticated."""
@@ -209,17 +211,17 @@ class Extensions:
                 failed(each.feature, "explanation", error)
         return verdict
 
-    def transforms(self, route: Route) -> FoundTransforms | None:
+    def transforms(self, route: Route) -> FindTransforms | None:
         """Look for what changes a route's messages; None if nothing does."""
-        asked: list[tuple[str, Awaitable[MessageTransform | None]]] = []
+        asked: list[tuple[str, FindTransform]] = []
         for each in self.transforming:
             try:
                 found = None if each.transform is None else each.transform(route)
             except Exception as error:  # noqa: BLE001 -- as above
-                found = _failed(each.feature, error)
+                found = partial(_failed, each.feature, error)
             if found is not None:
                 asked.append((each.feature, found))
-        return _found(asked) if asked else None
+        return partial(_found, asked) if asked else None
 
     def route_fields(self, route: Route) -> dict[str, Any]:
         shown: dict[str, Any] = {}
@@ -228,11 +230,11 @@ class Extensions:
         return shown
 
 
-async def _found(asked: Iterable[tuple[str, Awaitable[MessageTransform | None]]]) -> Transforms:
+async def _found(asked: Iterable[tuple[str, FindTransform]]) -> Transforms:
     found: list[MessageTransform] = []
-    for feature, work in asked:
+    for feature, find in asked:
         try:
-            transform = await work
+            transform = await find()
         except Exception as error:  # noqa: BLE001 -- of code that is not ours; its messages are kept back
             transform = await _failed(feature, error)
         if transform is not None:

@@ -78,6 +78,11 @@ class Facts(Protocol):
         """Whether messages or answers are on their way to the other side, or wait for the channel."""
 
     @property
+    def nodes_there(self) -> tuple[str, ...]:
+        """Some of the nodes on the other side that have it, as far as they are known."""
+        return ()
+
+    @property
     def large_vanish(self) -> bool:
         """Whether none of its last large datagrams has arrived, while smaller ones do."""
         return False
@@ -200,10 +205,6 @@ class Half(Protocol):
     @property
     def places(self) -> Sequence[EndPlace]:
         """The endpoints here of what a node of the other side has there."""
-
-    @property
-    def nodes_there(self) -> Sequence[str]:
-        """Some of the nodes on the other side that have it, as far as they are known."""
 
     def move(self) -> bool:
         """Make its ends in ROS again, as they belong to other nodes now (`Mirroring.place`), where there are any.

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from rsb_bridge.route.gates import LastLook
-    from rsb_bridge.route.message_transform import FoundTransforms, Transforms
+    from rsb_bridge.route.message_transform import FindTransforms, Transforms
     from rsb_bridge.route.rest_message import RestAfterArming
     from rsb_bridge.route.source_publishers import VolatileTopic
     from rsb_bridge.route.topic_flow import TopicFlow
@@ -117,8 +117,8 @@ class IncomingPath:
             self._transforms_asked.cancel()
             self._transforms_asked = None
 
-    async def _find_transforms(self, asked: FoundTransforms) -> None:
-        found = await asked
+    async def _find_transforms(self, asked: FindTransforms) -> None:
+        found = await asked()
         self._transforms_asked = None
         self._use_transforms(found)
         if self._awaits_transforms:

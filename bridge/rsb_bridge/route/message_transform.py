@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, TypeAlias
 from rsb_bridge.installed_features import failed
 
 if TYPE_CHECKING:
-    from collections.abc import Awaitable
+    from collections.abc import Awaitable, Callable
 
     from rsb_bridge.model.verdict import Verdict
 
@@ -47,7 +47,9 @@ class MessageTransform:
 
 Transforms: TypeAlias = tuple[MessageTransform, ...]
 """In the order of their changes."""
-FoundTransforms: TypeAlias = "Awaitable[Transforms]"
+FindTransform: TypeAlias = "Callable[[], Awaitable[MessageTransform | None]]"
+FindTransforms: TypeAlias = "Callable[[], Awaitable[Transforms]]"
+"""Called once the answer is awaited: a coroutine that is made before may never be."""
 
 
 class FailedTransform(MessageTransform):

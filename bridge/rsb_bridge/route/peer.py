@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.transports import LinkProfile
     from rsb_bridge.model.verdict import Verdict
     from rsb_bridge.route.lifecycle import Revisions
-    from rsb_bridge.route.message_transform import FoundTransforms
+    from rsb_bridge.route.message_transform import FindTransforms
     from rsb_bridge.route.peer_budget import PeerBudget
     from rsb_bridge.telemetry.meters import ClockOffset
     from rsb_bridge.wire.messages import ControlMessageBase
@@ -109,7 +109,7 @@ class Peer(Protocol):
         """Function that returns the verdicts of features on one of its routes, or None if none judges."""
 
     @property
-    def transforms(self) -> Callable[[Any], FoundTransforms | None] | None:
+    def transforms(self) -> Callable[[Any], FindTransforms | None] | None:
         """Function that looks for what changes one of its routes' messages, or None if no feature does so."""
 
     @property

@@ -231,10 +231,6 @@ class Receiver:
     def places(self) -> Sequence[EndPlace]:
         return (EndPlace("publisher", self.route.remote_topic, self.route.peer.name),)
 
-    @property
-    def nodes_there(self) -> Sequence[str]:
-        return () if self.facts.report_now is None else self.facts.report_now.nodes
-
     def move(self) -> bool:
         try:
             repeated = not self.outputs.move()

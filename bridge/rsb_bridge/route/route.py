@@ -452,7 +452,7 @@ class Route:
         )  # fmt: skip
         return now if restless else min(self.judged.next_change, of_half)
 
-    def _is_calm(self, now: float) -> bool:
+    def is_calm(self, now: float) -> bool:
         """Whether nothing of the last seconds counts any more."""
         if not self.meter.still:  # nearly always
             return False
@@ -489,7 +489,7 @@ class Route:
         self.half.act(now, crossing)
         # Last, so that the signs contain all that the tick has changed; else the next one, which comes in a second.
         signs = self.idling.signs if stays and passed != self.idling.passed else self._signs()
-        self.idling.ticked(signs, passed, now, lambda: self._next_change(now, crossing), self._is_calm)
+        self.idling.ticked(signs, passed, now, lambda: self._next_change(now, crossing), self.is_calm)
         # Of one that rests from now on, the last figures are shown.
         self.only_counts = self.only_counts and self.idling.signs is self._shown_signs and self.idling.until <= now
 

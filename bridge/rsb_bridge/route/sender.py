@@ -252,10 +252,6 @@ class Sender:
     def places(self) -> Sequence[EndPlace]:
         return (EndPlace("subscription", self.route.topic, self.route.peer.name),)
 
-    @property
-    def nodes_there(self) -> Sequence[str]:
-        return self.flow.audience.nodes
-
     def move(self) -> bool:
         self.subscription.move()
         return True

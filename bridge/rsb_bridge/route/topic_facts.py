@@ -255,6 +255,10 @@ class SenderFacts(TopicFacts):
         there = self.report is not None and self.report.came_before
         return (self.route.meter.last is not None or there) and not self.came
 
+    @property
+    def nodes_there(self) -> tuple[str, ...]:
+        return self.flow.audience.nodes
+
     def ends(self) -> tuple[tuple[str, ...], Qos | None, Qos | None]:
         asked = self.report.subscriber_qos if self.report else None
         return self.resolver.publisher_nodes, self.resolver.publisher_qos, asked
@@ -419,3 +423,7 @@ class ReceiverFacts(TopicFacts):
     @property
     def came_before(self) -> bool:
         return self.route.meter.last is not None and not self.came
+
+    @property
+    def nodes_there(self) -> tuple[str, ...]:
+        return () if self.report_now is None else self.report_now.nodes

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from enum import StrEnum
+from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.cdr.description import DescriptionError, read_description
@@ -23,7 +24,7 @@ from rsb_extras.frames import LINK_PREFIX, LINK_RESTAMP, PREFIX, RESTAMP, RESTAM
 from rsb_extras.frames.message_rewriter import Rewriter, UnknownTypeError, compile_plan
 
 if TYPE_CHECKING:
-    from collections.abc import Coroutine, Iterator
+    from collections.abc import Awaitable, Callable, Iterator
 
     from rsb_bridge.feature_api import Link, Route
     from rsb_extras.frames.message_rewriter import RewritePlan
@@ -149,7 +150,7 @@ class LinkFrames(Extension):
         self._link = link
         self._plans: dict[tuple[str, bool, bool], RewritePlan | None] = {}  # by hash, frames, stamps
         self._stamps = StampShift()
-        self._of_link = self._wish_of_link()
+        self._of_link: _Wish | None = None  # as of the last look; rights are there only once the link is made
         self._not_described: set[str] = set()  # keys of routes
         self._looks_at = 0.0
         self._restamps = False  # whether any topic has asked for it so far
@@ -160,12 +161,12 @@ class LinkFrames(Extension):
         return _Wish(LINK_PREFIX.of(rights), LINK_RESTAMP.of(rights))
 
     def _wish(self, route: Route) -> _Wish:
-        link, prefix, restamp = self._of_link, PREFIX.of(route.spec), RESTAMP.of(route.spec)
+        link, prefix, restamp = self._wish_of_link(), PREFIX.of(route.spec), RESTAMP.of(route.spec)
         return _Wish(link.prefix if prefix is None else prefix, link.restamp if restamp is None else restamp)
 
-    def _transform(self, route: Route) -> Coroutine[None, None, MessageTransform | None] | None:
+    def _transform(self, route: Route) -> Callable[[], Awaitable[MessageTransform | None]] | None:
         wish = self._wish(route)
-        return self._find(route, wish) if any(wish) else None
+        return partial(self._find, route, wish) if any(wish) else None
 
     async def _find(self, route: Route, wish: _Wish) -> MessageTransform | None:
         type_hash = route.half.carried.type_hash
@@ -195,7 +196,7 @@ class LinkFrames(Extension):
         self._look_at_clock()
 
     def tick(self) -> None:
-        if (wish := self._wish_of_link()) != self._of_link:
+        if (wish := self._wish_of_link()) != self._of_link:  # at first, and after a reload
             self._of_link = wish
             for route in self._link.routes.values():
                 _choose(route)

@@ -135,7 +135,7 @@ class LinkMirrors(Extension):
     # --- endpoints on them
 
     def place(self, route: Route, nodes: Sequence[str]) -> None:
-        """EndPlace the ends of a route that are about to be made on one of these nodes of the other side.
+        """Place the ends of a route that are about to be made on one of these nodes of the other side.
 
         The list of nodes may not have come yet, or lack a new one. So that no message is sent twice, the node is
         mirrored at once.
@@ -168,7 +168,7 @@ class LinkMirrors(Extension):
 
     def _node_of(self, route: Route, before: str) -> str:
         """Return the mirrored node that has what a route carries, the present one if possible, or an empty string."""
-        names = [self._name_here(node) for node in route.half.nodes_there]
+        names = [self._name_here(node) for node in route.half.facts.nodes_there]
         if before in self._mine and (before in names or not names):
             return before
         return next((name for name in names if name in self._mine), "")

@@ -20,6 +20,7 @@ MAY_CHANGE: PeerRight[tuple[str, ...]] = PeerRight("nodes", tuple[str, ...], ())
 
 class NodeControl(Feature):
     name = "node_control"
+    needs = ("nodes",)
 
     def session_keys(self) -> Iterable[SessionKey[Any]]:
         return (GROUPS,)

@@ -60,10 +60,6 @@ class Caller(CallsHalf):
             if not each.absolute and (name := each.name_on(route.local_topic))
         ]
 
-    @property
-    def nodes_there(self) -> Sequence[str]:
-        return self.offer.provided.nodes
-
     def move(self) -> bool:
         return self.offer.move()
 

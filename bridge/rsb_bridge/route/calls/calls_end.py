@@ -53,6 +53,10 @@ class CallsEnd(Protocol):
     def nodes(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """Return the nodes that call, and the nodes that answer."""
 
+    @property
+    def nodes_there(self) -> tuple[str, ...]:
+        """Those of them on the other side."""
+
     def at_node(self) -> tuple[int, int]:
         """Return the newest call that was given to DDS, with all before it, and how many calls wait for their node."""
 

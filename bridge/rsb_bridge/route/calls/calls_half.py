@@ -83,10 +83,6 @@ class CallsHalf:
     def places(self) -> Sequence[EndPlace]:
         return ()
 
-    @property
-    def nodes_there(self) -> Sequence[str]:
-        return ()
-
     def move(self) -> bool:
         return True
 

@@ -44,6 +44,10 @@ class CallsFacts(Facts):
         self.route, self.calls, self.failures, self.end = flow.route, flow.calls, flow.failures, end
         self.flow, self._types, self._kind = flow, types, kind
 
+    @property
+    def nodes_there(self) -> tuple[str, ...]:
+        return self.end.nodes_there
+
     def stages(self) -> tuple[Stage, ...]:
         (seen, known, offered), calls = self.end.stages(), self.calls
         called = Stage("called", calls.asked > 0 or None)

@@ -164,6 +164,10 @@ class ServersHere:
         report = self._flow.report
         return report.nodes if report is not None else (), node_names(self._carried.endpoints)
 
+    @property
+    def nodes_there(self) -> tuple[str, ...]:
+        return self.nodes()[0]
+
     def at_node(self) -> tuple[int, int]:
         return self._calls.at_node()
 

@@ -320,6 +320,10 @@ class ServiceOffer:
     def nodes(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
         return node_names(self._carried.endpoints), self.provided.nodes
 
+    @property
+    def nodes_there(self) -> tuple[str, ...]:
+        return self.provided.nodes
+
     def at_node(self) -> tuple[int, int]:
         report = self._flow.report
         return (report.given, report.waiting) if report is not None else (0, 0)

@@ -179,6 +179,15 @@ def test_entry_has_its_own_prefix(bridge: Bridge) -> None:
     assert found == ["x/map", "map", "y/map"]
 
 
+def test_a_client_prefixes_what_its_server_sends(bridge: Bridge) -> None:
+    bridge.pc.publisher("/goal_frame", Header, LATCHED).publish(Header(frame_id="map"))
+    bridge.server()
+    bridge.client(Topic("/goal_frame", "receive"), features={"frame_prefix": "pc/"})
+    heard = bridge.robot.listener("/goal_frame", Header, LATCHED)
+    eventually(lambda: heard.payloads, what="the message")
+    assert deserialize_message(heard.payloads[0], Header).frame_id == "pc/map"
+
+
 # -- stamps
 
 
