@@ -27,7 +27,7 @@ MAY_START = {
     ".ci/core.py", ".ci/install.py", ".ci/net.py", ".ci/pythons.py",
     "extras/rsb_extras/doctor/machine.py", "extras/rsb_extras/doctor/ros_setup.py",
     "extras/rsb_extras/doctor/large_messages.py", "extras/rsb_extras/doctor/session_needs.py",
-    "extras/rsb_extras/exporters/fault_hook.py",
+    "extras/rsb_extras/exporters/fault_hook.py", "extras/rsb_extras/mcp_server/mcp_command.py",
     "extras/rsb_extras/bench/loopback.py", "extras/rsb_extras/pictures/confinement_check.py",
     "extras/rsb_extras/pictures/renderer.py",
     # They run what the operator wrote, in the folder where the operator started the console; and tmux by its path.
