@@ -40,8 +40,8 @@ _FIXED, _TEXT, _FRAME, _STAMP, _ELEMENTS, _SEQUENCE, _REPEATED = range(7)
 _INLINED = 16
 """Steps of a nested message up to which the outer one has them as its own, as in `rsb_bridge.cdr.checker`."""
 _NAMES, _NAME_LENGTH = 1024, 128
-"""Frames whose new names are kept, and bytes of the longest of them. Round figures: a robot has some hundred, and a peer
-that makes names up fills half a megabyte for a topic."""
+"""Frames whose new names are kept, and bytes of the longest of them. Round figures: a robot has some hundred, and a
+peer that makes names up fills half a megabyte for a topic."""
 _NATIVE: Final = int(sys.byteorder == "little")
 _SECOND = 10**9  # ns
 _LAST_SECOND = 2**31 - 1
