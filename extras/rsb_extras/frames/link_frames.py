@@ -60,8 +60,14 @@ class FramesText(Wording):
         "set that higher, or synchronize the clocks"
     )
     RESTAMPS = "stamps are shifted by {shift:+.3f} s (±{error:.3g} s)"
-    NOT_DESCRIBED = "not published, as its frames and stamps cannot be found: {reason}"
-    TOO_MANY = "this link's messages have too many strings and sequences: send less"
+    NOT_DESCRIBED = (
+        "not published, as its frames and stamps cannot be found: {reason}: install the type on either side, "
+        "or switch frame_prefix and restamp off for the topic"
+    )
+    TOO_MANY = (
+        "this link's messages have more strings and sequences than are read in a second: send less, "
+        "or switch frame_prefix and restamp off for some topics"
+    )
 
 
 class _Wish(NamedTuple):

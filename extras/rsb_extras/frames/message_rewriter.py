@@ -48,12 +48,18 @@ _LAST_SECOND = 2**31 - 1
 
 
 class Unchanged(Wording):
-    """The reason why a message, or a type's messages, cannot be changed."""
+    """The reason why a message, or a type's messages, cannot be changed, and the remedy."""
 
-    NOT_XCDR1 = "it does not begin with an XCDR1 header: {beginning}"
-    MALFORMED = "its lengths contradict each other"
-    TOO_MANY_LENGTHS = "it has more than {limit:,} strings and sequences"
-    TOO_LONG = "the frame {name} is longer than its field allows ({bound} characters)"
+    NOT_XCDR1 = (
+        "frames and stamps are found in XCDR1 only, and a message begins with {beginning}: "
+        "switch frame_prefix and restamp off for the topic"
+    )
+    MALFORMED = "a message's lengths contradict its type: see the node on the other side that sent it"
+    TOO_MANY_LENGTHS = (
+        "a message has more than {limit:,} strings and sequences: have its node send smaller ones, "
+        "or switch frame_prefix and restamp off for the topic"
+    )
+    TOO_LONG = "the frame {name} is longer than its field allows ({bound} characters): choose a shorter frame_prefix"
     TYPE = "the description of {type} has something that no ROS type has"
 
 
