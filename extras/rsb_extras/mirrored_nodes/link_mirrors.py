@@ -76,8 +76,8 @@ class LinkMirrors(Extension):
         new = sorted(running - self._mine.keys() - self._left_out.keys())
         for name in new[:_A_SECOND]:
             self._stands(name, inf)
-        if len(self._mine) >= MOST and (count := len(running - self._mine.keys() - self._left_out.keys())):
-            self._left_out[""] = NotMirrored.TOO_MANY(count=count, limit=MOST)
+        if len(self._mine) >= MOST and running - self._mine.keys() - self._left_out.keys():
+            self._left_out[""] = NotMirrored.TOO_MANY(limit=MOST)
         self._place_all()
         self._log()
 
