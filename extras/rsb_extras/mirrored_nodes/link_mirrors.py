@@ -23,7 +23,7 @@ MOST: Final = 200
 _A_SECOND: Final = 50
 """Nodes that are made in a second, and topics that are moved, at most: 0.1 ms and 1 ms each. A round figure."""
 _LISTED_WITHIN: Final = 10.0
-"""s in which the other side lists a node whose topic came first. A round figure: it reads 50 nodes a second."""
+"""s in which the other side lists a node whose topic or link came first. A round figure: it reads 50 nodes a second."""
 _MOST_REASONS: Final = 8
 
 
@@ -49,6 +49,10 @@ class LinkMirrors(Extension):
     @property
     def is_at_work(self) -> bool:
         return self.wanted or bool(self._mine or self._placed)
+
+    def connected(self) -> None:
+        """Keep the nodes of a link that has come back between two looks until the new association's list comes."""
+        self._mine = dict.fromkeys(self._mine, self._link.context.now() + _LISTED_WITHIN)
 
     def link_fields(self) -> Mapping[str, MirrorCount]:
         if not self.wanted:
