@@ -187,13 +187,22 @@ def test_hidden_nodes_are_not_mirrored(bridge: Bridge, far: FarProgram, pc: Doma
 
 
 def test_lost_link_ends_them_with_its_association(bridge: Bridge, far: FarProgram, pc: Domain) -> None:
-    bridge.server(outlive=0, **ON)
+    """But not what is latched: late joiners get that, as they do without mirrored nodes."""
+    server = bridge.server(outlive=0, **ON)
     client = bridge.client(*TOPICS, outlive=0)
-    eventually(lambda: LIDAR in names(pc), what="the lidar")
+    pc.publisher("/speed")
+    eventually(lambda: info(pc, LIDAR) == ({"/scan", "/plan"}, {"/speed"}, {"/front/reset"}), what="the lidar")
+    eventually(lambda: CAMERA in names(pc), what="the camera")
     client.stop()
-    eventually(lambda: {LIDAR, CAMERA}.isdisjoint(names(pc)), what="their end")
+    eventually(lambda: CAMERA not in names(pc), what="its end")
+    eventually(lambda: info(pc, LIDAR) == ({"/plan"}, set(), set()), what="what is left of the lidar")
+    late = pc.listener("/plan", qos=LATCHED)
+    eventually(lambda: late.texts(1) == ["the plan"], what="the latched message")
     bridge.client(*TOPICS)
-    eventually(lambda: LIDAR in names(pc), what="their return")
+    eventually(lambda: info(pc, LIDAR) == ({"/scan", "/plan"}, {"/speed"}, {"/front/reset"}), what="its return")
+    eventually(lambda: CAMERA in names(pc), what="the camera")
+    assert names(pc).count(LIDAR) == 1
+    assert happened(server, EventCode.ROUTE_MOVED) is None
 
 
 def test_nodes_of_a_quick_return_stay(
