@@ -39,10 +39,11 @@ class _Shouts(Extension):
         self.answered = asyncio.Event()
         self.answered.set()
         self.asked = 0
+        self.changes = True
         self.make: Callable[[], Any] = lambda: _Upper(lambda content: content[:8] + content[8:].upper())
 
     def _transform(self, route: Any) -> Any:
-        if self.link.is_client:
+        if self.link.is_client or not self.changes:
             return None
         self.asked += 1
         return self._later
@@ -96,6 +97,25 @@ def test_messages_are_changed_and_wait_for_the_answer(bridge: Bridge, shouts: tu
     inside(server).context.call(lambda: extension.again(lambda: None))
     eventually(lambda: heard.texts(1) == ["one"], what="what is latched again, as it was")
     assert happened(server, EventCode.ROUTE_CHANGED_OTHERWISE)
+
+
+@pytest.mark.parametrize("result", ["ONE", "one"])
+def test_messages_wait_for_the_last_answer(bridge: Bridge, shouts: tuple[Any, Any, _Shouts], result: str) -> None:
+    """It is asked again, as after a reload, while an opening's messages wait for the first answer."""
+    server, client, extension = shouts
+    context = inside(server).context
+    context.call(extension.answered.clear)
+    publish, heard = opened(bridge, client)
+    publish("one")
+    eventually(lambda: extension.asked, what="the question")
+    eventually(lambda: route(client, "/chat").ledger.offered, what="offered")
+    extension.changes = result == "ONE"
+    context.call(lambda: extension.again(extension.make))
+    if extension.changes:
+        eventually(lambda: extension.asked == 2, what="the second question")
+        assert heard.payloads == []
+    context.call(extension.answered.set)
+    eventually(lambda: heard.payloads and heard.texts(1) == [result], what="the message")
 
 
 def test_a_transform_may_keep_back_and_judge(bridge: Bridge, shouts: tuple[Any, Any, _Shouts]) -> None:

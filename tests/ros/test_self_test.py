@@ -20,7 +20,7 @@ from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros import self_test
 from rsb_bridge.ros.distribution import described, package_of
 from rsb_bridge.ros.native import librcl, rclpy_extension
-from rsb_bridge.ros.ros_interface import RosError, RosProblem, TopicSpec
+from rsb_bridge.ros.ros_interface import EndPlace, RosError, RosProblem, TopicSpec
 from rsb_bridge.ros.self_test import Findings, Shortfall, findings
 
 if TYPE_CHECKING:
@@ -78,6 +78,33 @@ def test_other_arguments_lead_to_the_public_classes(
     eventually(lambda: requests)
     server.answer(requests[0].caller, b"\0\1\0\0\1\0\0\0\1\0\0\0\0")
     eventually(lambda: responses)
+
+
+def test_endpoints_outlive_their_mirrored_node(
+    monkeypatch: pytest.MonkeyPatch, open_node: Callable[..., RosNode]
+) -> None:
+    """With the public classes, too: what is armed stays on its node, and others until theirs is made."""
+    replaced.EXTENSION_NODE.set(monkeypatch, _refuses)
+    assert found_anew(monkeypatch).node is rclpy_extension.PublicNode
+    here, there = open_node(), open_node(name="other")
+    received: list[Any] = []
+    chatter, echo = (TopicSpec(topic, STRING, "", Qos()) for topic in ("/chatter", "/echo"))
+    here.mirrors.add("/front/lidar")
+    here.mirrors.place(EndPlace("publisher", "/chatter", "link"), "/front/lidar")
+    here.mirrors.place(EndPlace("subscription", "/echo", "link"), "/front/lidar")
+    publisher = here.advertise(chatter, "link")
+    subscription = here.subscribe(echo, received.extend, "link")
+    there.subscribe(chatter, received.extend, "link")
+    echoes = there.advertise(echo, "link")
+    eventually(lambda: publisher.subscriber_count and echoes.subscriber_count, what="matched")
+    eventually(there.mirrors.by_others, what="the mirrored node")
+    here.mirrors.remove("/front/lidar")
+    publisher.publish(stamped_string(100))
+    echoes.publish(stamped_string(100))
+    eventually(lambda: len(received) == 2, what="both messages")
+    publisher.close()
+    subscription.close()
+    eventually(lambda: not there.mirrors.by_others(), what="its end")
 
 
 @pytest.mark.parametrize("layout", ["@8xqqQQP16s", "@qqQQ16sP"])

@@ -52,10 +52,11 @@ class BridgeParticipants:
         # announcement is the first that others discover of what it publishes.
         is_known = participant in self._others or participant in self._bridges
         if (version := self._version()) != self._asked or not is_known:
-            self._asked = version
             found = self._announcers()
             self._bridges = {each.gid[:PARTICIPANT]: each.node for each in found if is_bridge(each.node)}
             if participant not in self._bridges:
                 others = self._others if len(self._others) < _MOST_OTHERS else frozenset[bytes]()
                 self._others = others | {participant}
+            # Last: neither another thread nor the next look after a failure may go by what was known before.
+            self._asked = version
         return self._bridges.get(participant, "")

@@ -210,7 +210,7 @@ class Half(Protocol):
         """Make its ends in ROS again, as they belong to other nodes now (`Mirroring.place`), where there are any.
 
         Returns:
-            Whether it could: what callers still wait for an answer of stays.
+            Whether it could: what callers wait for an answer of stays, and what nobody can repeat to late joiners.
         """
 
     # --- messages and reports

@@ -102,13 +102,14 @@ class IncomingPath:
 
     def choose_transforms(self, *, opens: bool) -> None:
         """Ask features what changes the messages; until they answer, these stay as before, or wait in a new opening."""
+        waits = opens or self._awaits_transforms
         self.forget_transforms()
-        asked = None if self.route.peer.transforms is None else self.route.peer.transforms(self.route)
-        if asked is not None:
-            self._awaits_transforms = opens
-            self._transforms_asked = self.route.context.loop.create_task(self._find_transforms(asked))
-        elif self.transforms:
-            self._use_transforms(())
+        find = None if self.route.peer.transforms is None else self.route.peer.transforms(self.route)
+        if find is not None or self.transforms:
+            self._awaits_transforms = waits
+            self._transforms_asked = self.route.context.loop.create_task(self._find_transforms(find))
+        elif waits:
+            self.unpacker.go_on()
 
     def forget_transforms(self) -> None:
         """Await no answer any more: the opening has ended, or they are asked again."""
@@ -117,8 +118,8 @@ class IncomingPath:
             self._transforms_asked.cancel()
             self._transforms_asked = None
 
-    async def _find_transforms(self, asked: FindTransforms) -> None:
-        found = await asked()
+    async def _find_transforms(self, find: FindTransforms | None) -> None:
+        found = () if find is None else await find()
         self._transforms_asked = None
         self._use_transforms(found)
         if self._awaits_transforms:

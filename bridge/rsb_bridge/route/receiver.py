@@ -232,6 +232,8 @@ class Receiver:
         return (EndPlace("publisher", self.route.remote_topic, self.route.peer.name),)
 
     def move(self) -> bool:
+        if self.outputs.has_kept and not (self.route.id and self.route.peer.linked):
+            return False  # nobody would repeat what late joiners get
         try:
             repeated = not self.outputs.move()
         except (RosError, LatchedFullError) as error:

@@ -33,6 +33,9 @@ _PLANS = 256  # types whose plans are kept, as many as a link may have that are 
 _LOOKS_AGAIN_AFTER = 10.0  # s until a type is looked for again that neither side could describe
 _CLOCK_WITHIN, _LOOKS_EVERY = 2.0, 0.05
 """s that an opening waits for the first measurement of the clocks, one round trip after the link; and between looks."""
+_HELD = 2
+"""Times `restamp_within` up to which the error may grow while stamps are shifted: where it goes up and down around the
+bound, they would jump each time by the whole difference."""
 _NANOSECONDS = 10**9
 
 
@@ -57,8 +60,14 @@ class FramesText(Wording):
         "set that higher, or synchronize the clocks"
     )
     RESTAMPS = "stamps are shifted by {shift:+.3f} s (±{error:.3g} s)"
-    NOT_DESCRIBED = "not published, as its frames and stamps cannot be found: {reason}"
-    TOO_MANY = "this link's messages have too many strings and sequences: send less"
+    NOT_DESCRIBED = (
+        "not published, as its frames and stamps cannot be found: {reason}: install the type on either side, "
+        "or switch frame_prefix and restamp off for the topic"
+    )
+    TOO_MANY = (
+        "this link's messages have more strings and sequences than are read in a second: send less, "
+        "or switch frame_prefix and restamp off for some topics"
+    )
 
 
 class _Wish(NamedTuple):
@@ -87,7 +96,7 @@ class StampShift:
         """Take the peer's clock minus this one's and its error (s), or None where it is not measured."""
         if offset is None or error is None:
             self.shift, self.problem = None, FramesText.UNKNOWN()
-        elif error > within:
+        elif error > (within if self.shift is None else _HELD * within):
             self.shift, self.problem = None, FramesText.UNSURE(error=error, within=within)
         else:
             if self.shift is None or abs(offset - self._offset) > error:

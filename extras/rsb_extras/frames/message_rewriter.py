@@ -39,19 +39,27 @@ _PLAIN, _ARRAY, _BOUNDED, _UNBOUNDED = range(4)
 _FIXED, _TEXT, _FRAME, _STAMP, _ELEMENTS, _SEQUENCE, _REPEATED = range(7)
 _INLINED = 16
 """Steps of a nested message up to which the outer one has them as its own, as in `rsb_bridge.cdr.checker`."""
-_NAMES = 4096  # of frames whose new names are kept: a round figure, a robot has some hundred
+_NAMES, _NAME_LENGTH = 1024, 128
+"""Frames whose new names are kept, and bytes of the longest of them. Round figures: a robot has some hundred, and a
+peer that makes names up fills half a megabyte for a topic."""
 _NATIVE: Final = int(sys.byteorder == "little")
 _SECOND = 10**9  # ns
 _LAST_SECOND = 2**31 - 1
 
 
 class Unchanged(Wording):
-    """The reason why a message, or a type's messages, cannot be changed."""
+    """The reason why a message, or a type's messages, cannot be changed, and the remedy."""
 
-    NOT_XCDR1 = "it does not begin with an XCDR1 header: {beginning}"
-    MALFORMED = "its lengths contradict each other"
-    TOO_MANY_LENGTHS = "it has more than {limit:,} strings and sequences"
-    TOO_LONG = "the frame {name} is longer than its field allows ({bound} characters)"
+    NOT_XCDR1 = (
+        "frames and stamps are found in XCDR1 only, and a message begins with {beginning}: "
+        "switch frame_prefix and restamp off for the topic"
+    )
+    MALFORMED = "a message's lengths contradict its type: see the node on the other side that sent it"
+    TOO_MANY_LENGTHS = (
+        "a message has more than {limit:,} strings and sequences: have its node send smaller ones, "
+        "or switch frame_prefix and restamp off for the topic"
+    )
+    TOO_LONG = "the frame {name} is longer than its field allows ({bound} characters): choose a shorter frame_prefix"
     TYPE = "the description of {type} has something that no ROS type has"
 
 
@@ -390,14 +398,16 @@ class Rewriter:
         name = self._payload[at + HEADER_LENGTH : at + HEADER_LENGTH + length]
         names = self._names[self._order]
         if (found := names.get(name)) is None:
-            if len(names) >= _NAMES:
-                names.clear()
             new = renamed(name, self._prefix)
             if bound and new != name and len(new) - 1 > bound:
                 shown = sanitize_text(new[:-1].decode(errors="replace"))
                 raise TransformError(Unchanged.TOO_LONG(name=shown, bound=bound))
             text = b"" if new == name else self._lengths[self._order].pack(len(new)) + new
-            found = names[name] = text, len(new) - length
+            found = text, len(new) - length
+            if length <= _NAME_LENGTH:
+                if len(names) >= _NAMES:
+                    names.clear()
+                names[name] = found
         text, more = found
         if text:
             self._replace(at, text, 4 + length)

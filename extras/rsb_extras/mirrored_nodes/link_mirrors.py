@@ -13,7 +13,7 @@ from rsb_extras.mirrored_nodes.mirror_table import MirrorTable, NotMirrored, is_
 from rsb_extras.nodes.link_nodes import LinkNodes
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Collection, Iterable, Mapping, Sequence
 
     from rsb_bridge.feature_api import Link, Route
     from rsb_bridge.ros.ros_interface import EndPlace
@@ -23,7 +23,7 @@ MOST: Final = 200
 _A_SECOND: Final = 50
 """Nodes that are made in a second, and topics that are moved, at most: 0.1 ms and 1 ms each. A round figure."""
 _LISTED_WITHIN: Final = 10.0
-"""s in which the other side lists a node whose topic came first. A round figure: it reads 50 nodes a second."""
+"""s in which the other side lists a node whose topic or link came first. A round figure: it reads 50 nodes a second."""
 _MOST_REASONS: Final = 8
 
 
@@ -50,6 +50,10 @@ class LinkMirrors(Extension):
     def is_at_work(self) -> bool:
         return self.wanted or bool(self._mine or self._placed)
 
+    def connected(self) -> None:
+        """Keep the nodes of a link that has come back between two looks until the new association's list comes."""
+        self._mine = dict.fromkeys(self._mine, self._link.context.now() + _LISTED_WITHIN)
+
     def link_fields(self) -> Mapping[str, MirrorCount]:
         if not self.wanted:
             return {}
@@ -66,26 +70,25 @@ class LinkMirrors(Extension):
             return
         nodes, now = self._link.extensions.find(LinkNodes).book.nodes, self._link.context.now()
         running = {self._name_here(name) for name, each in nodes.items() if each.ended is None and is_mirrorable(name)}
-        for name, until in tuple(self._mine.items()):
+        leaving = set[str]()
+        for name, until in self._mine.items():
             if clash := self._table.clash(name, self._link.name):
                 self._left_out[name] = clash
             if clash or (name not in running and (until == inf or now >= until)):
-                self._remove(name)
+                leaving.add(name)
             elif name in running:
                 self._mine[name] = inf
         new = sorted(running - self._mine.keys() - self._left_out.keys())
         for name in new[:_A_SECOND]:
             self._stands(name, inf)
-        if len(self._mine) >= MOST and (count := len(running - self._mine.keys() - self._left_out.keys())):
-            self._left_out[""] = NotMirrored.TOO_MANY(count=count, limit=MOST)
-        self._place_all()
+        if len(self._mine) >= MOST and running - self._mine.keys() - self._left_out.keys():
+            self._left_out[""] = NotMirrored.TOO_MANY(limit=MOST)
+        self._place_all(leaving)
         self._log()
 
     def end(self) -> None:
         """Mirror nothing: the association is over, or nobody wants it any more."""
-        for name in tuple(self._mine):
-            self._remove(name)
-        self._place_all()
+        self._place_all({*self._mine})
 
     def _shows_nodes(self) -> bool:
         there = self._link.extensions.find(LinkNodes)
@@ -128,10 +131,6 @@ class LinkMirrors(Extension):
         self._mine[name] = until
         return True
 
-    def _remove(self, name: str) -> None:
-        del self._mine[name]
-        self._table.remove(name)
-
     # --- endpoints on them
 
     def place(self, route: Route, nodes: Sequence[str]) -> None:
@@ -146,11 +145,14 @@ class LinkMirrors(Extension):
         names = (self._name_here(node) for node in nodes if is_mirrorable(node))
         self._put(route.half.places, next((name for name in names if self._stands(name, until)), ""))
 
-    def _place_all(self) -> None:
-        """Have the ends of all routes belong to the nodes that have them on the other side now."""
+    def _place_all(self, leaving: set[str]) -> None:
+        """Have the ends of all routes belong to the nodes that have them on the other side now.
+
+        Nodes that leave end then. One with an end that cannot be moved yet stays until it can be.
+        """
         if not self._mine and not self._placed:
             return
-        moved, present = 0, set[object]()
+        moved, present, staying = 0, set[object](), self._mine.keys() - leaving
         for route in self._link.routes.values():
             places = () if _is_of_all(route) else route.half.places
             present.update(places)
@@ -158,20 +160,23 @@ class LinkMirrors(Extension):
             if not places or moved >= _A_SECOND or route.arming.held:
                 continue
             before = self._placed.get(places[0], "")
-            if (node := self._node_of(route, before)) != before:
+            if (node := self._node_of(route, before, staying)) != before:
                 self._put(places, node)
                 moved += 1
                 if not route.half.move():
                     self._put(places, before)  # tried again in a second
                 route.wake()
         self._put(self._placed.keys() - present, "")
+        for name in leaving - set(self._placed.values()):
+            del self._mine[name]
+            self._table.remove(name)
 
-    def _node_of(self, route: Route, before: str) -> str:
+    def _node_of(self, route: Route, before: str, staying: Collection[str]) -> str:
         """Return the mirrored node that has what a route carries, the present one if possible, or an empty string."""
         names = [self._name_here(node) for node in route.half.facts.nodes_there]
-        if before in self._mine and (before in names or not names):
+        if before in staying and (before in names or not names):
             return before
-        return next((name for name in names if name in self._mine), "")
+        return next((name for name in names if name in staying), "")
 
     def _put(self, places: Iterable[EndPlace], node: str) -> None:
         for each in tuple(places):

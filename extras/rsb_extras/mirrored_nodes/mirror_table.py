@@ -24,7 +24,7 @@ class NotMirrored(Wording):
     )
     OTHER_BRIDGE = "{node} is not mirrored: {bridge} mirrors a node of that name here; set graph on one of them only"
     OTHER_LINK = "{node} is not mirrored: one of {link} has that name here; give the links' names a prefix (use_name)"
-    TOO_MANY = "{count} nodes are not mirrored: at most {limit} of a link are"
+    TOO_MANY = "{limit} nodes are mirrored, the most of a link: stop those there that are not needed"
     NOT_SHOWN = "no node is mirrored: {reason}"
     LACKS = "no node is mirrored: the other side has no feature nodes; install all of rsb-console there"
 

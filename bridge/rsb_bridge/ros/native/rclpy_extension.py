@@ -226,7 +226,7 @@ class PublicNode:
             parameter_overrides=[Parameter("start_type_description_service", value=False)],
         )
         self.handle = node.handle
-        self.destroy = node.destroy_node
+        self._parameter_events = tuple(node.publishers)
         self._ways: dict[Kind, tuple[Callable[..., Any], Callable[[Any], object]]] = {
             "subscription": (
                 lambda interface, topic, qos: node.create_subscription(interface, topic, _nothing, qos, raw=True),
@@ -242,6 +242,12 @@ class PublicNode:
                 node.destroy_client,
             ),
         }
+
+    def destroy(self) -> None:
+        """End it once its endpoints have been destroyed: `Node.destroy_node` would free these, which are in use."""
+        for each in self._parameter_events:
+            self._node.destroy_publisher(each)
+        self.handle.destroy_when_not_in_use()
 
     def create(self, kind: Kind, interface: type, name: str, qos: Qos) -> Entity:
         create, destroy = self._ways[kind]

@@ -270,8 +270,12 @@ def test_a_shift_stays_until_the_clocks_contradict_it() -> None:
     assert stamps.shift == -2_000_000_000
     stamps.look(2.04, 0.03, 0.1)
     assert stamps.shift == -2_040_000_000
+    stamps.look(2.04, 0.19, 0.1)  # the error of a path that is as long as the bound goes up and down
+    assert (stamps.shift, stamps.problem) == (-2_040_000_000, "")
+    stamps.look(2.04, 0.21, 0.1)
+    assert stamps.shift is None
+    assert has_text(stamps.problem, FramesText.UNSURE, error=0.21, within=0.1)
     stamps.look(2.04, 0.11, 0.1)
     assert stamps.shift is None
-    assert has_text(stamps.problem, FramesText.UNSURE, error=0.11, within=0.1)
     stamps.look(2.0, 0.1, 0.1)
     assert stamps.shift == -2_000_000_000

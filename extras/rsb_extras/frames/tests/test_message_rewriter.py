@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import tracemalloc
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -18,6 +19,7 @@ from rosidl_parser.definition import (
     BoundedSequence,
     NamespacedType,
 )
+from std_msgs.msg import Header
 from tests.cdr.decoder_helpers import INNER, TYPES, described, of
 from tests.support.filled import filled
 
@@ -380,6 +382,20 @@ def test_a_message_of_too_many_parts_is_refused() -> None:
     payload = b"\0\1\0\0" + struct.pack("<I", STEPS + 1) + bytes(4 * (STEPS + 1))
     with pytest.raises(TransformError, match="250,000"):
         rewriter(TypeDescription(message, (inner,)), shift=0).rewrite(payload)
+
+
+def test_long_names_are_not_kept() -> None:
+    """A peer that makes up long names fills no memory with them."""
+    made, long = rewriter(described("std_msgs/msg/Header"), shift=0), 100_000
+    tracemalloc.start()
+    for number in range(100):
+        name = f"{number:0{long}}"
+        payload = bytes(serialize_message(Header(frame_id=name)))
+        assert deserialize_message(made.rewrite(payload), Header).frame_id == PREFIX + name
+    payload, name = b"", ""
+    held, _ = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert held < 10 * long
 
 
 @pytest.mark.parametrize(

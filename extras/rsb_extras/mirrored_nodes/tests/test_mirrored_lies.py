@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import TYPE_CHECKING
 
 import msgspec
 import zstandard
 from tests.link.foreign_proposals_helpers import rogue
-from tests.support.bridge import happened
 from tests.support.waiting import eventually
+from tests.support.wording import has_text
 
 from rsb_bridge.model.snapshot import State
 from rsb_extras.mirrored_nodes import GraphKeys
@@ -21,6 +20,8 @@ if TYPE_CHECKING:
     from tests.support.bridge import Bridge
     from tests.support.domain import Domain
 
+    from rsb_bridge.model.snapshot import Event
+
 BAD = "/_rsb_robot1_0123abcd", "/_hidden", "/a/_b", "a", "/", "/a-b", "/a//b", "/1st", "/a b", "/stock"
 
 
@@ -30,16 +31,28 @@ def test_nodes_of_a_liar_are_bounded(bridge: Bridge, pc: Domain) -> None:
     names = [*BAD, *(f"/made_up_{number}" for number in range(1000 - len(BAD)))]
     with rogue(bridge, "nodes") as client:
         eventually(lambda: server.snapshot().links[0].state is State.OK, what="a link")
-        changes = NodeChanges(1, 1, True, 0, nodes=tuple(NodeState(name) for name in names))
-        request = client.wait_for(AskNodes).request
-        client.say(NodesNews(request, zstandard.compress(msgspec.msgpack.encode(changes))))
 
-        def made_up() -> int:
+        def tell(number: int) -> None:
+            changes = NodeChanges(1, number, True, 0, nodes=tuple(map(NodeState, names)))
+            request = client.wait_for(AskNodes).request
+            client.say(NodesNews(request, zstandard.compress(msgspec.msgpack.encode(changes))))
+
+        def made_up() -> set[str]:
             client.say(NodesNews(0, b""))  # a sign of life, which answers nothing
-            return sum(name.startswith("made_up_") for name, _ in pc.node.get_node_names_and_namespaces())
+            found = {f"/{name}" for name, _ in pc.node.get_node_names_and_namespaces()}
+            return {name for name in found if name.startswith("/made_up_")}
 
-        too_many = partial(happened, server, MirrorCode.LEFT_OUT, NotMirrored.TOO_MANY, limit=MOST)
-        eventually(lambda: made_up() == MOST and too_many(), what="as many as may stand here")
+        def too_many() -> list[Event]:
+            found = (each for each in server.events() if each.code == MirrorCode.LEFT_OUT)
+            return [each for each in found if has_text(each.text, NotMirrored.TOO_MANY, limit=MOST)]
+
+        tell(1)
+        eventually(lambda: len(made_up()) == MOST and too_many(), what="as many as may stand here")
+        gone = min(made_up())
+        names.remove(gone)
+        tell(2)
+        eventually(lambda: gone not in made_up() and len(made_up()) == MOST, what="another one in its place")
+        assert len(too_many()) == 1, "another number of them is no news"
         found = pc.node.get_node_names_and_namespaces()
         assert [name for name, _ in found].count("stock") == 1
         others = {f"{namespace.rstrip('/')}/{name}" for name, namespace in found} - {"/stock"}

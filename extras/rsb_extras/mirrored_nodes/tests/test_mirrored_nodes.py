@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from contextlib import closing
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +12,7 @@ from rclpy.parameter_client import AsyncParameterClient
 from std_srvs.srv import Trigger
 from tests.support.bridge import happened, is_accepted, link, linked, reloaded
 from tests.support.domain import LATCHED
+from tests.support.inside import inside
 from tests.support.spun import Spun
 from tests.support.waiting import eventually
 from tests.support.wording import has_text
@@ -18,13 +20,15 @@ from tests.support.wording import has_text
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 from rsb_extras.mirrored_nodes import MIRRORED, GraphKeys
-from rsb_extras.mirrored_nodes.link_mirrors import MirrorCode
+from rsb_extras.mirrored_nodes.link_mirrors import LinkMirrors, MirrorCode
 from rsb_extras.mirrored_nodes.mirror_table import NotMirrored
 from rsb_extras.mirrored_nodes.tests.far_program import CAMERA, LIDAR, FarProgram
+from rsb_extras.nodes.link_nodes import LinkNodes
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+    import pytest
     from tests.support.bridge import Bridge
     from tests.support.domain import Domain
 
@@ -183,10 +187,50 @@ def test_hidden_nodes_are_not_mirrored(bridge: Bridge, far: FarProgram, pc: Doma
 
 
 def test_lost_link_ends_them_with_its_association(bridge: Bridge, far: FarProgram, pc: Domain) -> None:
-    bridge.server(outlive=0, **ON)
+    """But not what is latched: late joiners get that, as they do without mirrored nodes."""
+    server = bridge.server(outlive=0, **ON)
     client = bridge.client(*TOPICS, outlive=0)
-    eventually(lambda: LIDAR in names(pc), what="the lidar")
+    pc.publisher("/speed")
+    eventually(lambda: info(pc, LIDAR) == ({"/scan", "/plan"}, {"/speed"}, {"/front/reset"}), what="the lidar")
+    eventually(lambda: CAMERA in names(pc), what="the camera")
     client.stop()
-    eventually(lambda: {LIDAR, CAMERA}.isdisjoint(names(pc)), what="their end")
+    eventually(lambda: CAMERA not in names(pc), what="its end")
+    eventually(lambda: info(pc, LIDAR) == ({"/plan"}, set(), set()), what="what is left of the lidar")
+    late = pc.listener("/plan", qos=LATCHED)
+    eventually(lambda: late.texts(1) == ["the plan"], what="the latched message")
     bridge.client(*TOPICS)
-    eventually(lambda: LIDAR in names(pc), what="their return")
+    eventually(lambda: info(pc, LIDAR) == ({"/scan", "/plan"}, {"/speed"}, {"/front/reset"}), what="its return")
+    eventually(lambda: CAMERA in names(pc), what="the camera")
+    assert names(pc).count(LIDAR) == 1
+    assert happened(server, EventCode.ROUTE_MOVED) is None
+
+
+def test_nodes_of_a_quick_return_stay(
+    bridge: Bridge, far: FarProgram, pc: Domain, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The link comes back before anybody has looked, and its topics before the list of nodes."""
+    server = bridge.server(outlive=0, **ON)
+    client = bridge.client(*TOPICS, outlive=0)
+    eventually(lambda: {LIDAR, CAMERA} <= {*names(pc)}, what="the nodes")
+    eventually(lambda: is_accepted(server, "/plan"), what="open")
+    update = LinkMirrors.update
+    with monkeypatch.context() as patch:
+        patch.setattr(LinkMirrors, "update", lambda _: None)
+        patch.setattr(LinkNodes, "tick", lambda _: None)
+        client.stop()
+        eventually(lambda: not linked(server), what="its end")
+        bridge.client(*TOPICS)
+        eventually(lambda: is_accepted(server, "/plan"), what="open again")
+        (found,) = inside(server).role.links()
+        looked = threading.Event()
+
+        def look() -> None:
+            update(found.extensions.find(LinkMirrors))
+            looked.set()
+
+        found.context.call(look)
+        eventually(looked.is_set, what="the first look since")
+        assert mirrored(server)[0] == 2
+    eventually(lambda: found.extensions.find(LinkNodes).book.nodes, what="the list")
+    assert mirrored(server)[0] == 2
+    assert happened(server, EventCode.ROUTE_MOVED) is None
