@@ -26,7 +26,7 @@ from rsb_extras.node_control.change_records import (
     ManagedNode,
     NodeChange,
 )
-from rsb_extras.node_control.change_requests import ChangeNodes
+from rsb_extras.node_control.change_requests import ChangeNodes, ListManaged
 from rsb_extras.node_control.link_changes import AskManaged, ChangeEnded, ManagedAnswer, RunChange
 from rsb_extras.node_control.node_changer import STARTS, ChangeCode, NodeChanger
 from rsb_extras.node_control.tests.control_places import STARTS_WITHIN, TICKET_LIFE
@@ -176,6 +176,18 @@ def test_peers_that_see_no_node_have_none_asked(bridge: Bridge, nodes: ManagedNo
         assert peer.wait_for(ManagedAnswer).managed == Managed()
         changer = link(server).context.shared(NodeChanger)
         assert not changer.services._kept
+
+
+def test_no_link_is_asked_for_this_sides_nodes(bridge: Bridge, nodes: ManagedNodes) -> None:
+    server = start(bridge)
+    with rogue(bridge, "node_control") as peer:
+        eventually(lambda: server.snapshot().links[0].state is State.OK, what="a link")
+        (side,) = server.do(ListManaged(here=True)).result(60)
+        assert (side.link, [each.name for each in side.managed.groups]) == ("", ["nav", "all"])
+        asked = server.do(ListManaged("robot1"))
+        assert peer.wait_for(AskManaged).request == 1
+        peer.say(ManagedAnswer(1))
+        assert asked.result(60)[0].managed == Managed()
 
 
 def test_a_ticket_that_a_peer_gives_twice_stands_for_one_change(bridge: Bridge) -> None:
