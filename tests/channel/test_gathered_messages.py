@@ -29,7 +29,6 @@ def one_moment(side: Side) -> Iterator[JoinedWrites]:
         each.stream.joined = joined
     yield joined
     joined.send_all()
-    joined.is_open = False
 
 
 def routes() -> list[Route]:

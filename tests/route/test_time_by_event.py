@@ -315,6 +315,8 @@ NOT_CALM: list[tuple[type[Any], str, object]] = [
             ("route.meter.rate", 1.0),
             ("route.reopening.refused", Reason("it was refused")),
             ("route.age._since", 0.0),
+            ("route.age._lately", deque([(0, Counter()), (1, Counter())])),
+            ("route.age._lately", deque([(1, Counter()), (1, Counter({Cause.LINK_SLOW: 1}))])),
             ("flow.latency._samples", deque([0.1])),
             ("flow.latency._reported_for", 1),
             ("flow.lateness._other", 1),

@@ -332,13 +332,16 @@ class Link(BaseLink):
             extension.feature = feature.name
             self.extend(extension)
         context.demands.register(self.entries)
-        self.snapshots = LinkSnapshots(self)
-        self.snapshot = self.snapshots.make
+        self._snapshots = LinkSnapshots(self)
+
+    def snapshot(self) -> LinkSnapshot:
+        """Return the link as it is now."""
+        return self._snapshots.make()
 
     @property
     def only_counts(self) -> bool:
         """Whether nothing but figures may differ from its last snapshot."""
-        return self.snapshots.only_counts
+        return self._snapshots.only_counts
 
 
 async def topics_of_peer(links: Iterable[Link], name: str) -> list[TopicInfo]:

@@ -169,10 +169,11 @@ class RosToLoopQueue:
         # First: a batch that is put in after the last look at the queue schedules a drain of its own.
         self._scheduled = False
         joined = self.joined
-        joined.is_open = len(self._batches) > 1
         try:
             while self._batches:
                 receiver, batch, express = self._batches.popleft()
+                if self._batches:  # more to join
+                    joined.is_open = True
                 receiver.offer(batch)
                 if express:
                     joined.send_all()
@@ -181,9 +182,7 @@ class RosToLoopQueue:
                 self._room.set()
             if self._batches:  # a receiver has failed: the others' go on
                 self._schedule()
-            # While it is open: what is written meanwhile goes behind what is held.
             joined.send_all()
-            joined.is_open = False
 
     def _schedule(self) -> None:
         self._scheduled = True

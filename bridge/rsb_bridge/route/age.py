@@ -268,8 +268,8 @@ class MessageAge:
 
     @property
     def is_calm(self) -> bool:
-        """Whether none was dropped in the last seconds."""
-        return self._since is None and not self._recent()[0]
+        """Whether none came or was dropped in the last seconds, which are counted in ticks."""
+        return self._since is None and (not self._lately or self._lately[0] == self._lately[-1])
 
     def _recent(self) -> tuple[int, int, Counter[Cause]]:
         if not self._lately:

@@ -77,9 +77,8 @@ class ShownLink(Protocol):
     def only_counts(self) -> bool:
         """Whether nothing but figures may differ from its last snapshot."""
 
-    @property
-    def snapshot(self) -> Callable[[], LinkSnapshot]:
-        """Returns the link as it is now."""
+    def snapshot(self) -> LinkSnapshot:
+        """Return the link as it is now."""
 
 
 _Shown = TypeVar("_Shown", ShownRoute, ShownLink)

@@ -111,7 +111,7 @@ class JoinedWrites:
     """Holds writes of one moment, so that each stream sends them by one call. The other side is woken once, too.
 
     Attributes:
-        is_open: whether streams hand over what they are to write. Only during a call of the I/O loop.
+        is_open: whether streams hand over what they are to write, until `send_all`. Only during a call of the I/O loop.
     """
 
     def __init__(self) -> None:
@@ -142,14 +142,12 @@ class JoinedWrites:
             stream.send_held(held)
 
     def send_all(self) -> None:
-        """Send all that is held, and what is gathered, which comes behind it."""
-        while self._held:
+        """Send all that is held, and behind it what is gathered; what is written from then on leaves at once."""
+        while self._held:  # while it is open: what is written meanwhile goes behind what is held
             stream, held = self._held.popitem()
             stream.send_held(held)
-        if self._gathering:
-            was_open, self.is_open = self.is_open, False  # so that it is written at once: there is no more to hold
-            self._write_gathered()
-            self.is_open = was_open
+        self.is_open = False
+        self._write_gathered()
 
     def _write_gathered(self) -> None:
         gathering, self._gathering = self._gathering, []

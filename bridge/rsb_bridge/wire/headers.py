@@ -66,8 +66,10 @@ def resends_of(gid: bytes, kept: Collection[bytes]) -> int | None:
 
     For a moment the peer keeps the id before, too: the last one counts.
     """
-    are_kept = [publisher_id(gid, resent) in kept for resent in range(MOST_RESENDS)] if kept else []
-    return next((at for at, kept in enumerate(are_kept) if kept and not are_kept[(at + 1) % MOST_RESENDS]), None)
+    if not kept:
+        return None
+    are_kept = [publisher_id(gid, resent) in kept for resent in range(MOST_RESENDS)]
+    return next((at for at in range(MOST_RESENDS) if are_kept[at] and not are_kept[(at + 1) % MOST_RESENDS]), None)
 
 
 def split_history(payload: bytes) -> tuple[HistoryHeader, bytes]:

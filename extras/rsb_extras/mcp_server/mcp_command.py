@@ -127,11 +127,11 @@ class Commands:
                 return bounded(found[-1]), True
             tool.before(found[-1])
         found = await self._run(words)
-        if tool.lines:
-            return bounded({"lines": found[-_LAST_LINES:]}), False
         answer = found[-1]
         # `status` has ok: false for what is wrong with a robot, and is no error.
-        return bounded(tool.show(answer, given)), "error" in answer and not answer.get("ok", True)
+        if "error" in answer and not answer.get("ok", True):
+            return bounded(answer), True
+        return bounded({"lines": found[-_LAST_LINES:]} if tool.lines else tool.show(answer, given)), False
 
     async def _run(self, words: Iterable[str]) -> list[dict[str, Any]]:
         """Return the objects that a command prints, at least one."""

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 _MOST_ITEMS, _MOST_CHARACTERS, _DEEPEST = 200, 2000, 16
 """Elements of a list, characters of a text and levels of an answer. Round figures: a program reads it all."""
-_MOST_VALUES = 5000
-"""Values of an answer, after which the rest is left out: some 100 kB."""
+_MOST_VALUES, _SHORT = 5000, 20
+"""Values of an answer, after which the rest is left out, and characters of one; a longer one counts as several."""
 _OMITTED = "left_out"
 
 
@@ -33,6 +33,9 @@ class ToolProblem(Wording):
     MISSING = "{name} is missing"
     INVALID = "{name} is invalid: {about}"
     MOVES = "{topic} may move a robot: add or resume it in the console, or in a shell"
+    UNKNOWN_TYPE = (
+        "the type of {topic} is not known yet, and it may move a robot: resume it in the console, or in a shell"
+    )
     PATTERN = "{topic} is a pattern, which may match what moves a robot: name one topic"
 
 
@@ -108,9 +111,11 @@ class OfferedTool:
                 raise ToolError(ToolProblem.MISSING(name=each.name))
 
 
-_NAME, _WORD = r"/[A-Za-z0-9_/~*]{1,254}", r"[A-Za-z0-9_.-]{1,64}"
+_NAME = r"/[A-Za-z0-9_/~*]{1,254}"
+_LINK_NAME = r"(?!-)[^\x00-\x1f\x7f-\x9f\ud800-\udfff]{1,255}"
+"""A name that an operator may give a client, unless the command would take it for an option."""
 _TOPIC = Argument("topic", _NAME, "its name on the bridge's side: /scan", required=True)
-_LINK = Argument("link", _WORD, "the link, if several have it; status names them")
+_LINK = Argument("link", _LINK_NAME, "the link, if several have it; status names them")
 _WHICH = (_TOPIC, _LINK)
 _TYPE = r"[A-Za-z0-9_]{1,100}/msg/[A-Za-z0-9]{1,100}"
 _WAYS = "transmit: client to server; receive: server to client"
@@ -193,9 +198,11 @@ def _is_of(route: Any, given: Arguments) -> bool:
 
 def _still(found: Any) -> None:
     """Raise `ToolError` if a route carries what may move a robot."""
-    names = [each for each in (found.get("topic"), found.get("remote_topic")) if isinstance(each, str)]
-    if may_move(found.get("type") or "", *names):
-        raise ToolError(ToolProblem.MOVES(topic=escape_text(names[0] if names else "")))
+    type_name, topic = found["type"], found["topic"]
+    if may_move(type_name, topic, found["remote_topic"]):
+        raise ToolError(ToolProblem.MOVES(topic=escape_text(topic)))
+    if not type_name:
+        raise ToolError(ToolProblem.UNKNOWN_TYPE(topic=escape_text(topic)))
 
 
 def _add(given: Arguments) -> list[str]:
@@ -276,12 +283,16 @@ TOOLS: Final = {
             changes=True,
         ),
         OfferedTool(
-            "pause_topic", "Stop carrying a topic's messages, on both sides.", _route("pause"), _WHICH, changes=True
+            "pause_topic",
+            "Stop carrying a topic's messages, on both sides.",
+            _route("pause", "--kind=topic"),
+            _WHICH,
+            changes=True,
         ),
         OfferedTool(
             "resume_topic",
             "Resume a paused topic. What may move a robot is refused.",
-            _route("resume"),
+            _route("resume", "--kind=topic"),
             _WHICH,
             before=_still,
             changes=True,
@@ -310,6 +321,7 @@ def _bounded(value: Any, depth: int, left: list[int]) -> Any:
     left[0] -= 1
     if isinstance(value, str):
         text = escape_text(value[:_MOST_CHARACTERS])[:_MOST_CHARACTERS]
+        left[0] -= len(text) // _SHORT
         return text if len(value) <= _MOST_CHARACTERS else f"{text}…"
     if not isinstance(value, dict | list):
         return value
@@ -320,8 +332,10 @@ def _bounded(value: Any, depth: int, left: list[int]) -> Any:
     for name, each in items[:_MOST_ITEMS]:
         if left[0] <= 0:
             break
-        found.append((name, _bounded(each, depth - 1, left)))
+        shown = escape_text(str(name)[:200])
+        left[0] -= len(shown) // _SHORT
+        found.append((shown, _bounded(each, depth - 1, left)))
     omitted = len(items) - len(found)
     if isinstance(value, list):
         return [each for _, each in found] + ([{_OMITTED: omitted}] if omitted else [])
-    return {escape_text(str(name)[:200]): each for name, each in found} | ({_OMITTED: omitted} if omitted else {})
+    return dict(found) | ({_OMITTED: omitted} if omitted else {})

@@ -29,13 +29,14 @@ class ManagedSide(msgspec.Struct, frozen=True, omit_defaults=True):
 
 
 class ListManaged(Command[tuple[ManagedSide, ...]], frozen=True, tag="list_managed"):
-    """List managed nodes and groups of this side and of all links, or of one link; empty sides are left out."""
+    """List managed nodes and groups of this side and of all links, without empty sides, or of one side."""
 
     right = Right.LOOK
     is_of_links = True
     refreshes = False
     cancellable = True
     link: str = ""
+    here: bool = False  # this side alone: no link is asked
 
 
 class ChangeNodes(Command[ChangeOutcome], frozen=True, tag="change_nodes"):

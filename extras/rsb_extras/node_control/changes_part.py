@@ -29,6 +29,8 @@ class ChangesPart(EnginePart):
         self._changer.services.tick()
 
     async def _list(self, command: ListManaged) -> tuple[ManagedSide, ...]:
+        if command.here:
+            return (await self._own(),)
         if command.link:
             return (await self._of_link(link_named(command.link, self._bridge.links())),)
         linked = [link for link in self._bridge.links() if link.linked]

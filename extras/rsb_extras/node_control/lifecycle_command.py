@@ -46,7 +46,7 @@ def lifecycle(arguments: Namespace) -> int:
     if arguments.action and arguments.target is None:
         raise UsageError(LifecycleUsage.NAME_MISSING(action=arguments.action))
     with attached(arguments) as engine:
-        sides = result(engine.do(ListManaged(arguments.link)))
+        sides = result(engine.do(ListManaged(arguments.link, arguments.here)))
         if not arguments.action:
             return _list(engine, arguments, sides)
         return _change(engine, arguments, _chosen(arguments, sides))
@@ -82,15 +82,14 @@ def _lines(role: str, sides: Sequence[ManagedSide]) -> Iterator[str]:
 
 def _chosen(arguments: Namespace, sides: Sequence[ManagedSide]) -> str:
     """Return the link whose other side has the node or the group, or an empty string for this side."""
-    asked = [side for side in sides if not (arguments.here and side.link)]
-    names = [(side.link, each.name) for side in asked for each in side.managed.targets]
+    names = [(side.link, each.name) for side in sides for each in side.managed.targets]
     found = [link for link, name in names if name == arguments.target]
     if len(found) > 1:
         options = "; ".join(f"--link {link}" if link else "--here" for link in found)
         raise UsageError(LifecycleUsage.SEVERAL(count=len(found), name=arguments.target, options=options))
     if not found:
         known = ", ".join(sorted({name for _, name in names})) or "none"
-        problems = "".join(f" ({side.link}: {side.problem})" for side in asked if side.problem)
+        problems = "".join(f" ({side.link}: {side.problem})" for side in sides if side.problem)
         raise UsageError(LifecycleUsage.UNKNOWN(name=arguments.target, problems=problems, known=known))
     return found[0]
 
@@ -109,13 +108,13 @@ def _change(engine: RemoteEngine, arguments: Namespace, link: str) -> int:
         del found["is_over"]
         print_line(json_line({"ok": ok} | ({} if ok else {"error": error}) | found))
         return OK if ok else FAILURE
-    outcome = _followed(engine, f"{link} {target}", answer)
+    outcome = _followed(engine, link, target, answer)
     text = LifecycleText.ENDED(target=target, side=side, text=ChangeText.of(action, outcome))
     (print_line if outcome.done else print_error)(text)
     return OK if outcome.done else FAILURE
 
 
-def _followed(engine: RemoteEngine, key: str, answer: Future[ChangeOutcome]) -> ChangeOutcome:
+def _followed(engine: RemoteEngine, link: str, target: str, answer: Future[ChangeOutcome]) -> ChangeOutcome:
     """Print the steps of a change as they come, and return its outcome."""
     printed, until = 0, time.monotonic() + ANSWERED_WITHIN
     while True:
@@ -128,9 +127,10 @@ def _followed(engine: RemoteEngine, key: str, answer: Future[ChangeOutcome]) -> 
             _print(outcome.steps[printed:])
             return outcome
         try:
-            found = outcomes(result(engine.do(ListManaged(key.partition(" ")[0])))).get(key)
+            sides = result(engine.do(ListManaged(link, here=not link)))
         except EngineError:
             continue  # the link is lost: the change goes on, and its answer comes over the next one
+        found = outcomes(sides).get(f"{link} {target}")
         if found is not None and not found[1].is_over:
             _print(found[1].steps[printed:])
             printed = max(printed, len(found[1].steps))

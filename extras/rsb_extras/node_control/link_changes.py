@@ -22,9 +22,10 @@ from rsb_bridge.feature_api import (
     operator,
     sanitize_text,
 )
+from rsb_bridge.model.budgets import TokenBucket
 from rsb_extras.node_control.change_records import ChangeOutcome, LifecycleAction, Managed, Target
 from rsb_extras.node_control.change_requests import LONGEST, TICKET_WITHIN
-from rsb_extras.node_control.node_changer import ChangeAsker, NodeChanger
+from rsb_extras.node_control.node_changer import STARTS, STARTS_WITHIN, ChangeAsker, ChangeProblem, NodeChanger
 
 if TYPE_CHECKING:
     from rsb_bridge.feature_api import Link
@@ -86,6 +87,7 @@ class LinkChangesProblem(Wording):
     NOT_LINKED = "{link} is not linked: {reason}"
     NOT_THERE = "the installation of {link} has no node_control: install all of rsb-console there"
     SILENT = "{link} did not answer: look at the nodes' states before you ask again"
+    TWICE = "{link} gave the ticket of another change, and nothing was done: ask again once that change is over"
     TOO_LATE = "the request came too late, and nothing was done: ask again"
     FORGOTTEN = "the bridge there knows nothing of it any more: look at the nodes' states before you ask again"
 
@@ -128,6 +130,8 @@ class LinkChanges(Extension):
         self._last_ticket = link.context.wall_ns() >> 16
         """No bridge that ran before under this name has given those that follow."""
         self._given: dict[int, _Ticket] = {}
+        self._allowance = TokenBucket(STARTS, STARTS / STARTS_WITHIN, link.context.now())
+        """Of the peer's requests, refused ones too: each is logged."""
         self._runs: dict[int, asyncio.Task[ChangeOutcome]] = {}
         self._reporting: set[int] = set()
         """Tickets of changes whose ends this connection's peer waits for."""
@@ -158,28 +162,38 @@ class LinkChanges(Extension):
         return ManagedAnswer(ask.request, self._last_ticket)
 
     def _run_asked(self, ask: RunChange) -> None:
-        if ask.ticket not in self._runs:
-            until, association = self._given.pop(ask.ticket, _Ticket(0.0, None))
-            if association is not self._link.association or self._link.context.now() >= until:
-                reason = (LinkChangesProblem.FORGOTTEN if ask.again else LinkChangesProblem.TOO_LATE)()
+        run = self._runs.get(ask.ticket)
+        if run is None:
+            if reason := self._refusal(ask):
                 self._link.send(ChangeEnded(ask.ticket, ChangeOutcome(refused=True, reason=reason)))
                 return
-            self._begin(ask)
+            run = self._begin(ask)
         if ask.ticket not in self._reporting:
             self._reporting.add(ask.ticket)
-            self._link.spawn(self._report(ask.ticket))
+            self._link.spawn(self._report(ask.ticket, run))
 
-    def _begin(self, ask: RunChange) -> None:
+    def _refusal(self, ask: RunChange) -> str:
+        """Return the reason why a request is not even judged, or an empty string; it is not logged."""
+        until, association = self._given.pop(ask.ticket, _Ticket(0.0, None))
+        now = self._link.context.now()
+        if association is not self._link.association or now >= until:
+            return (LinkChangesProblem.FORGOTTEN if ask.again else LinkChangesProblem.TOO_LATE)()
+        if not self._allowance.take(1, now):
+            return ChangeProblem.TOO_OFTEN(most=STARTS, seconds=STARTS_WITHIN)
+        return ""
+
+    def _begin(self, ask: RunChange) -> asyncio.Task[ChangeOutcome]:
         asker = ChangeAsker(f"{self._link.peer_name}, which says: {ask.who or 'an operator'}", self._link)
-        run = self._changer.run(ask.target, ask.action, asker)
-        self._runs[ask.ticket] = self._link.context.loop.create_task(run)
+        run = self._link.context.loop.create_task(self._changer.run(ask.target, ask.action, asker))
+        self._runs[ask.ticket] = run
         over = [ticket for ticket, each in self._runs.items() if each.done()]
         for ticket in over[:-_REMEMBERED]:
             del self._runs[ticket]
+        return run
 
-    async def _report(self, ticket: int) -> None:
+    async def _report(self, ticket: int, run: asyncio.Task[ChangeOutcome]) -> None:
         association = self._link.association
-        outcome = await asyncio.shield(self._runs[ticket])
+        outcome = await asyncio.shield(run)
         self._reporting.discard(ticket)
         if self._link.association is association:  # another one asks again
             self._link.send(ChangeEnded(ticket, outcome))
@@ -197,6 +211,8 @@ class LinkChanges(Extension):
     async def run(self, target: str, action: LifecycleAction) -> ChangeOutcome:
         """Have the peer carry out a change, over any number of connections; raises as `managed`."""
         ticket = (await self._ask(ticket=True)).ticket
+        if ticket in self._waits:
+            raise LinkError(LinkChangesProblem.TWICE(link=self._link.name))
         request = RunChange(ticket, target, action, sanitize_text(operator(), TEXT_LENGTH))
         waiting = self._waits[ticket] = _Waiting(request, self._link.context.loop.create_future())
         try:

@@ -108,7 +108,7 @@ class NodeChanger:
         self.services = NodeServices(context)
         self._context = context
         self._doing: list[_Doing] = []
-        self._ended: deque[NodeChange] = deque(maxlen=_AT_ONCE)
+        self._ended: deque[tuple[tuple[str, ...], NodeChange]] = deque(maxlen=_AT_ONCE)  # each with its nodes
         self._starts: dict[bool, deque[float]] = {is_own: deque(maxlen=STARTS) for is_own in (False, True)}
         self._found: tuple[ManagedNode, ...] = ()
         self._looking: asyncio.Task[None] | None = None
@@ -123,6 +123,9 @@ class NodeChanger:
 
     async def managed(self, asker: ChangeAsker) -> Managed:
         """Return the managed nodes with their states, the groups, and the last changes, as far as one may see them."""
+        shows = asker.link is None or SHOW_NODES.of(asker.link.end.rights)
+        if asker.link is not None and not (shows or MAY_CHANGE.of(asker.link.end.rights)):
+            return Managed()  # and no node is asked for a peer that sees none
         is_looking = self._looking is not None and not self._looking.done()
         if not is_looking and self._context.now() - self._looked_at >= _LOOKED_EVERY:
             self._looking = self._context.loop.create_task(self._look())
@@ -133,14 +136,14 @@ class NodeChanger:
             ListedGroup(name, of_group, all(self._may(asker, each) for each in of_group))
             for name, of_group in tuple(self._groups.items())[:MOST_GROUPS]
         )
-        shows = asker.link is None or SHOW_NODES.of(asker.link.end.rights)
-        running = (NodeChange(each.target, each.action, self._progress(each)) for each in self._doing)
-        changes = (*self._ended, *running)
+        running = ((each.nodes, NodeChange(each.target, each.action, self._progress(each))) for each in self._doing)
         return Managed(
             tuple(each for each in nodes if shows or each.allowed),
             tuple(each for each in groups if shows or each.allowed),
             tuple(
-                each for each in changes if shows or all(self._may(asker, node) for node in self._nodes(each.target))
+                change
+                for of_change, change in (*self._ended, *running)
+                if shows or all(self._may(asker, each) for each in of_change)
             ),
         )
 
@@ -243,7 +246,7 @@ class NodeChanger:
         seconds = self._context.now() - doing.began
         outcome = ChangeOutcome(reason=sanitize_text(reason), seconds=seconds, steps=tuple(doing.steps))
         self._doing.remove(doing)
-        self._ended.append(NodeChange(doing.target, doing.action, outcome))
+        self._ended.append((doing.nodes, NodeChange(doing.target, doing.action, outcome)))
         self._looked_at = float("-inf")  # what has been found before is old
         level, code = (Level.INFO, ChangeCode.ENDED) if outcome.done else (Level.WARNING, ChangeCode.FAILED)
         self._log(level, code, f"{doing.target}: {ChangeText.of(doing.action, outcome)}", doing.asker)

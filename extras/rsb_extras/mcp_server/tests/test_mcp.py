@@ -17,6 +17,7 @@ from tests.support.domain import LATCHED, text
 from tests.support.waiting import eventually
 
 from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import State
 from rsb_extras.mcp_server.mcp_tools import TOOLS, ToolError, ToolProblem, bounded
 
 if TYPE_CHECKING:
@@ -125,7 +126,11 @@ def test_changes_are_offered_only_where_they_are_allowed(robot_side: Engine, mac
 def test_what_moves_a_robot_is_not_offered(robot_side: Engine, machine: Machine) -> None:
     moving = {"direction": "receive", "type": "geometry_msgs/msg/Twist"}
     plain = {"direction": "receive", "type": "std_msgs/msg/String"}
+    for entry in (Topic("/dock", "transmit", kind="action"), Topic("/unknown", "receive")):
+        robot_side.pause(robot_side.add_topic(entry).result(30), paused=True).result(30)
     calls: list[tuple[str, dict[str, Any]]] = [
+        ("resume_topic", {"topic": "/dock"}),
+        ("resume_topic", {"topic": "/unknown"}),
         ("add_topic", moving | {"topic": "/drive"}),
         ("add_topic", plain | {"topic": "/x", "remote_topic": "/cmd_vel"}),
         ("add_topic", plain | {"topic": "/**"}),
@@ -134,7 +139,7 @@ def test_what_moves_a_robot_is_not_offered(robot_side: Engine, machine: Machine)
     ]
     _, answers = Program(machine, "--allow-changes").run(*calls)
     assert [is_error for _, is_error in answers] == [True] * len(calls)
-    assert route(robot_side, "/cmd_vel").state == "paused"
+    assert {route(robot_side, name).state for name in ("/cmd_vel", "/dock", "/unknown")} == {State.PAUSED}
     assert find(robot_side, "/drive") is None
     assert find(robot_side, "/x") is None
 
@@ -147,12 +152,17 @@ def test_mistakes_are_answers(robot_side: Engine, machine: Machine) -> None:
         ("status", {"more": "1"}),
         ("nodes", {"here": "yes"}),
         ("history", {"last": "1 day"}),
+        ("nodes", {"link": "--here"}),
+        ("nodes", {"link": "Robot 1, the blue one"}),
     )
-    assert [is_error for _, is_error in answers] == [True] * 6
+    assert [is_error for _, is_error in answers] == [True] * 8
+    assert "link is invalid" in answers[6][0]["error"]
+    assert "no link 'Robot 1, the blue one'" in answers[7][0]["error"]
     assert "/none" in answers[0][0]["error"]
-    _, ((answer, is_error),) = Program(machine, "robot7").run(("status", {}))
-    assert is_error
-    assert "robot7" in answer["error"]
+    _, answers = Program(machine, "robot7").run(("status", {}), ("events", {}))
+    for answer, is_error in answers:
+        assert is_error
+        assert "robot7" in answer["error"]
     assert robot_side.snapshot().routes
 
 
@@ -196,7 +206,8 @@ def test_answers_are_bounded_and_clean() -> None:
     for _ in range(500):
         deep = [deep]
     assert "left_out" in json.dumps(bounded(deep))
-    assert len(json.dumps(bounded([[list(range(200))] * 200] * 200))) < 100_000
+    for much in (list(range(200)), ["x" * 3000] * 200, {f"{number:0200}": 1 for number in range(200)}):
+        assert len(json.dumps(bounded([[much] * 200] * 200))) < 200_000
 
 
 @pytest.mark.parametrize("name", sorted(TOOLS))
@@ -208,8 +219,9 @@ def test_schemas_and_checks_agree(name: str) -> None:
     for each in tool.arguments:
         with pytest.raises(ToolError):
             tool.check({each.name: 5})
-        with pytest.raises(ToolError):
-            tool.check({each.name: "--json\n"})
+        for option in ("--json", "--json\n", "a\0", "\ud800"):
+            with pytest.raises(ToolError):
+                tool.check({each.name: option})
 
 
 def test_no_tool_arms_calls_or_publishes() -> None:

@@ -5,3 +5,4 @@ from __future__ import annotations
 from tests.support.places import Place
 
 TICKET_LIFE = Place("rsb_extras.node_control.link_changes", "TICKET_LIFE")
+STARTS_WITHIN = Place("rsb_extras.node_control.link_changes", "STARTS_WITHIN")

@@ -44,4 +44,4 @@ def _changed(command: ChangeNodes) -> ChangeOutcome:
     return FAILED if (command.target, command.action) == ("nav", "down") else DONE
 
 
-ANSWERS: dict[Any, Any] = {ListManaged: lambda _: SIDES, ChangeNodes: _changed}
+ANSWERS: dict[Any, Any] = {ListManaged: lambda command: SIDES[:1] if command.here else SIDES, ChangeNodes: _changed}

@@ -132,7 +132,7 @@ def test_without_the_right_the_other_side_only_looks(bridge: Bridge, nodes: Mana
     assert change(robot, link="").done, "an operator of the robot needs no right"
 
 
-def test_hidden_nodes_are_listed_if_they_may_be_changed(bridge: Bridge, nodes: ManagedNodes) -> None:
+def test_hidden_nodes_are_listed_if_they_may_be_changed(bridge: Bridge, nodes: ManagedNodes, tmp_path: Path) -> None:
     robot = bridge.client(features={**has("/planner", nav=NAV), "show_nodes": False})
     pc = bridge.server()
     eventually(lambda: linked(pc) and linked(robot), what="linked")
@@ -140,6 +140,10 @@ def test_hidden_nodes_are_listed_if_they_may_be_changed(bridge: Bridge, nodes: M
     assert managed(pc).groups == ()
     assert change(robot, link="").done
     assert managed(pc).changes == (), "of nodes that are hidden"
+    path = tmp_path / "robot1.yaml"
+    save(robot.session, path)
+    reloaded(robot, path, features={**has("/planner"), "show_nodes": False})
+    assert managed(pc).changes == (), "nor of a group that is no more"
 
 
 def test_a_reload_gives_and_takes_right_and_groups(bridge: Bridge, nodes: ManagedNodes, tmp_path: Path) -> None:

@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 import pytest
-from tests.link.foreign_proposals_helpers import rogue
+from tests.link.foreign_proposals_helpers import link, rogue
 from tests.support.bridge import happened
 from tests.support.waiting import eventually
 from tests.wire.document_helpers import documented_fields
 
+from rsb_bridge.api import EngineError
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.wire.protocol_error import Broken
@@ -25,9 +26,10 @@ from rsb_extras.node_control.change_records import (
     ManagedNode,
     NodeChange,
 )
+from rsb_extras.node_control.change_requests import ChangeNodes, ListManaged
 from rsb_extras.node_control.link_changes import AskManaged, ChangeEnded, ManagedAnswer, RunChange
-from rsb_extras.node_control.node_changer import STARTS, ChangeCode
-from rsb_extras.node_control.tests.control_places import TICKET_LIFE
+from rsb_extras.node_control.node_changer import STARTS, ChangeCode, NodeChanger
+from rsb_extras.node_control.tests.control_places import STARTS_WITHIN, TICKET_LIFE
 from rsb_extras.node_control.tests.managed_nodes import ManagedNodes, has
 
 if TYPE_CHECKING:
@@ -145,3 +147,59 @@ def test_answers_that_nobody_waits_for_do_nothing(bridge: Bridge) -> None:
         peer.say(ManagedAnswer(7, 3), ChangeEnded(9, ChangeOutcome()), ChangeEnded(0, ChangeOutcome(reason="x")))
         assert ticket(peer, 2)
         assert server.snapshot().links[0].state is State.OK
+
+
+def test_refused_requests_do_not_fill_the_log(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
+    STARTS_WITHIN.set(monkeypatch, 1e6)
+    server = start(bridge)
+    with rogue(bridge) as peer:
+        assert all(outcome(peer, "none").refused for _ in range(STARTS + 8))
+    assert sum(each.code == ChangeCode.REFUSED for each in server.events()) == STARTS
+
+
+def test_a_forgotten_change_is_told_once_more(bridge: Bridge) -> None:
+    server = start(bridge)
+    with rogue(bridge) as peer:
+        numbers = [ticket(peer)]
+        for _ in range(9):
+            outcome(peer, "none", number=numbers[-1])
+            numbers.append(ticket(peer))
+        peer.say(RunChange(numbers[0], "none", "up"), RunChange(numbers[-1], "none", "up"))
+        assert {peer.wait_for(ChangeEnded).ticket for _ in range(2)} == {numbers[0], numbers[-1]}
+        assert server.snapshot().links[0].state is State.OK
+
+
+def test_peers_that_see_no_node_have_none_asked(bridge: Bridge, nodes: ManagedNodes) -> None:
+    server = bridge.server(features={"show_nodes": False})
+    with rogue(bridge) as peer:
+        peer.say(AskManaged(1))
+        assert peer.wait_for(ManagedAnswer).managed == Managed()
+        changer = link(server).context.shared(NodeChanger)
+        assert not changer.services._kept
+
+
+def test_no_link_is_asked_for_this_sides_nodes(bridge: Bridge, nodes: ManagedNodes) -> None:
+    server = start(bridge)
+    with rogue(bridge, "node_control") as peer:
+        eventually(lambda: server.snapshot().links[0].state is State.OK, what="a link")
+        (side,) = server.do(ListManaged(here=True)).result(60)
+        assert (side.link, [each.name for each in side.managed.groups]) == ("", ["nav", "all"])
+        asked = server.do(ListManaged("robot1"))
+        assert peer.wait_for(AskManaged).request == 1
+        peer.say(ManagedAnswer(1))
+        assert asked.result(60)[0].managed == Managed()
+
+
+def test_a_ticket_that_a_peer_gives_twice_stands_for_one_change(bridge: Bridge) -> None:
+    server = bridge.server()
+    with rogue(bridge, "node_control") as peer:
+        eventually(lambda: server.snapshot().links[0].state is State.OK, what="a link")
+        first = server.do(ChangeNodes("nav", "up", "robot1"))
+        peer.say(ManagedAnswer(peer.wait_for(AskManaged).request, 7))
+        assert peer.wait_for(RunChange).ticket == 7
+        second = server.do(ChangeNodes("nav", "down", "robot1"))
+        peer.say(ManagedAnswer(peer.wait_for(AskManaged).request, 7))
+        with pytest.raises(EngineError, match="robot1 gave the ticket of another change, and nothing was done"):
+            second.result(60)
+        peer.say(ChangeEnded(7, ChangeOutcome()))
+        assert first.result(60).done
