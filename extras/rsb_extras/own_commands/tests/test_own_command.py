@@ -96,7 +96,7 @@ def test_mistake_names_its_place(given: object, problem: Wording, parameters: di
 
 
 @pytest.mark.parametrize(
-    ("written", "key"), [("X", "X"), ("'!'", "exclamation_mark"), ("5", "5"), ("f9", "f9"), ("ctrl+g", "ctrl+g")]
+    ("written", "key"), [("Y", "Y"), ("'!'", "exclamation_mark"), ("5", "5"), ("f9", "f9"), ("ctrl+g", "ctrl+g")]
 )
 def test_keys_are_textuals_or_a_character(tmp_path: Path, written: str, key: str) -> None:
     (tmp_path / "console.yaml").write_text(f'commands: {{{written}: {{run: "true"}}}}')
@@ -105,7 +105,7 @@ def test_keys_are_textuals_or_a_character(tmp_path: Path, written: str, key: str
 
 
 @pytest.mark.parametrize(
-    ("keys", "key", "owner"), [("", "p", "pause"), ("pause: X", "X", "pause"), ("", "question_mark", "help")]
+    ("keys", "key", "owner"), [("", "p", "pause"), ("pause: Y", "Y", "pause"), ("", "question_mark", "help")]
 )
 def test_taken_key_names_both_and_keeps_others(tmp_path: Path, keys: str, key: str, owner: str) -> None:
     (tmp_path / "keys.yaml").write_text(keys)
