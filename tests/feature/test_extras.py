@@ -87,7 +87,7 @@ def test_action_of_missing_feature_names_it(tmp_path: Path) -> None:
 
 
 def test_setting_of_missing_feature_names_it(tmp_path: Path) -> None:
-    (tmp_path / "console.yaml").write_text("commands: {X: {run: uptime}}")
+    (tmp_path / "console.yaml").write_text("commands: {Y: {run: uptime}}")
     asked = WITHOUT + (
         "import pathlib\n"
         "from rsb_console.preferences import Preferences\n"

@@ -46,7 +46,7 @@ class CommandMistake(Wording):
 
     LEFT_OUT = "Commands left out"
     OF_OTHERS = "no command of console.yaml runs as this user: {reason}"
-    NO_MAPPING = 'commands: map keys to commands, like X: {{run: "uptime"}}'
+    NO_MAPPING = 'commands: map keys to commands, like Y: {{run: "uptime"}}'
     TOO_MANY = "commands: at most {most} are possible"
     NO_KEY = "commands.{key}: {key} is no key; give one like X, f9 or ctrl+g"
     TAKEN = "commands.{key}: the console needs {key} for itself; give another key"

@@ -87,10 +87,10 @@ def output_of(app: ConsoleApp) -> list[str]:
 
 
 @with_commands(
-    (120, 36), (40, 12), landmark="▌✗", X='{run: "echo {topic} {type} {link} {robot} {state}; exit 3", where: topic}'
+    (120, 36), (40, 12), landmark="▌✗", Y='{run: "echo {topic} {type} {link} {robot} {state}; exit 3", where: topic}'
 )
 async def test_key_shows_what_its_command_prints(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    await pilot.press("X")
+    await pilot.press("Y")
     await shown(pilot, "exit code 3")
     expected = f"{TOPIC} sensor_msgs/msg/LaserScan robot1 10.0.0.20 down"
     assert output_of(app) == [expected]
@@ -100,9 +100,9 @@ async def test_key_shows_what_its_command_prints(app: ConsoleApp, pilot: Pilot[N
     assert app.screen is app.main
 
 
-@with_commands(X='{run: "echo ran >> ran.txt", where: link, confirm: true, description: restart it}')
+@with_commands(Y='{run: "echo ran >> ran.txt", where: link, confirm: true, description: restart it}')
 async def test_question_shows_the_whole_command_first(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    await pilot.press("X")
+    await pilot.press("Y")
     await shown(pilot, OwnCommandText.ASKS, name="restart it")
     await shown(pilot, "echo ran >> ran.txt")
     assert app.focused is not None
@@ -110,35 +110,35 @@ async def test_question_shows_the_whole_command_first(app: ConsoleApp, pilot: Pi
     await pilot.press("enter")
     await until(pilot, lambda: app.screen is app.main, "the main screen")
     assert not Path("ran.txt").exists()
-    await pilot.press("X", "y")
+    await pilot.press("Y", "y")
     await shown(pilot, "exit code 0")
     assert Path("ran.txt").read_text() == "ran\n"
 
 
-@with_commands(X='{run: "touch made; echo {topic}", where: topic}')
+@with_commands(Y='{run: "touch made; echo {topic}", where: topic}')
 @pytest.mark.parametrize("name", ["/a;touch injected", "/$(touch injected)", "/a b", "-x"])
 async def test_hostile_name_runs_nothing(app: ConsoleApp, pilot: Pilot[None], name: str) -> None:
     put(app, route(name))
-    await pilot.press("X")
+    await pilot.press("Y")
     await notified(pilot, OwnCommandText.UNSAFE, name="topic")
     assert app.screen is app.main
     assert not Path("made").exists()
     assert not Path("injected").exists()
 
 
-@with_commands(X='{run: "echo {type}", where: topic}')
+@with_commands(Y='{run: "echo {type}", where: topic}')
 async def test_unknown_type_is_said(app: ConsoleApp, pilot: Pilot[None]) -> None:
     put(app, route("/scan", type_name=""))
-    await pilot.press("X")
+    await pilot.press("Y")
     await notified(pilot, OwnCommandText.EMPTY, name="type")
 
 
-@with_commands(X='{run: "echo here; sleep 1000"}')
+@with_commands(Y='{run: "echo here; sleep 1000"}')
 async def test_closed_pane_leaves_its_command_running(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    await pilot.press("X")
+    await pilot.press("Y")
     await shown(pilot, "here")
     first = RUNNING.find("echo here; sleep 1000")
-    await pilot.press("escape", "X")
+    await pilot.press("escape", "Y")
     await shown(pilot, "here")
     assert RUNNING.find("echo here; sleep 1000") is first
     await pilot.press("s")
@@ -146,9 +146,9 @@ async def test_closed_pane_leaves_its_command_running(app: ConsoleApp, pilot: Pi
     await gone(pilot, "s stop")
 
 
-@with_commands(X='{run: "while [ ! -e go ]; do sleep 0.05; done; exit 4", description: waits}')
+@with_commands(Y='{run: "while [ ! -e go ]; do sleep 0.05; done; exit 4", description: waits}')
 async def test_end_behind_a_closed_pane_is_told(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    await pilot.press("X")
+    await pilot.press("Y")
     await shown(pilot, "s stop")
     await pilot.press("escape")
     Path("go").touch()
@@ -156,10 +156,10 @@ async def test_end_behind_a_closed_pane_is_told(app: ConsoleApp, pilot: Pilot[No
     assert "exit code 4" in notices(app)[-1].message
 
 
-@with_commands(X=f'{{run: "seq {KEPT_LINES + 500}"}}')
+@with_commands(Y=f'{{run: "seq {KEPT_LINES + 500}"}}')
 async def test_pane_follows_and_scrolls(app: ConsoleApp, pilot: Pilot[None]) -> None:
     at_the_end = f" {KEPT_LINES + 499} "  # the last number is in the command, too, which is shown before the end is
-    await pilot.press("X")
+    await pilot.press("Y")
     await shown(pilot, "exit code 0")
     await shown(pilot, at_the_end)
     await shown_at_the_end(pilot, "lines are kept", "g")  # it may still follow what it drew before
@@ -167,24 +167,24 @@ async def test_pane_follows_and_scrolls(app: ConsoleApp, pilot: Pilot[None]) -> 
     await shown_at_the_end(pilot, at_the_end)
 
 
-@with_commands(X='{run: "sleep 1000 # {topic}", where: topic}')
+@with_commands(Y='{run: "sleep 1000 # {topic}", where: topic}')
 async def test_commands_at_once_are_limited(app: ConsoleApp, pilot: Pilot[None]) -> None:
     for number in range(command_keys.MOST):
         put(app, route(f"/topic{number}"))
-        await pilot.press("X", "escape")
+        await pilot.press("Y", "escape")
     await until(pilot, lambda: len(RUNNING) == command_keys.MOST, "as many as possible")
     put(app, route("/one_more"))
-    await pilot.press("X")
+    await pilot.press("Y")
     await notified(pilot, OwnCommandText.TOO_MANY, most=command_keys.MOST)
     assert app.screen is app.main
 
 
 @with_commands(
-    (120, 100), landmark="read-only", readonly=True, X='{run: "touch made", description: changing}',
+    (120, 100), landmark="read-only", readonly=True, Y='{run: "touch made", description: changing}',
     Z='{run: "echo looked", changes: false, description: looking}',
 )  # fmt: skip
 async def test_readonly_leaves_commands_that_change_nothing(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    await pilot.press("X")
+    await pilot.press("Y")
     await notified(pilot, MainText.READ_ONLY)
     assert app.screen is app.main
     await pilot.press("Z")
@@ -197,23 +197,23 @@ async def test_readonly_leaves_commands_that_change_nothing(app: ConsoleApp, pil
     assert not is_shown(app, "changing")
 
 
-@with_commands(X='{run: "echo {topic}", where: topic}', Z='{run: "echo {link}", where: link}')
+@with_commands(Y='{run: "echo {topic}", where: topic}', Z='{run: "echo {link}", where: link}')
 async def test_keys_are_grey_without_what_they_need(app: ConsoleApp, pilot: Pilot[None]) -> None:
     engine = engine_of(app)
     engine.now = replace(engine.now, routes=())
     app.pull()
-    assert app.main.check_action("command_X", ()) is None
+    assert app.main.check_action("command_Y", ()) is None
     assert app.main.check_action("command_Z", ()), "there is only one link"
     engine.now = replace(engine.now, links=(LINK, replace(LINK, name="robot2")), role="server")
     app.pull()
     assert app.main.check_action("command_Z", ()) is None
-    await pilot.press("X", "Z")
+    await pilot.press("Y", "Z")
     assert app.screen is app.main
 
 
-@with_commands((200, 36), X='{run: "echo found", description: find it}')
+@with_commands((200, 36), Y='{run: "echo found", description: find it}')
 async def test_footer_and_palette_have_the_command(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    await shown(pilot, "X find it")
+    await shown(pilot, "Y find it")
     await pilot.press("colon", *"find it")
     await shown(pilot, "find it")
     await pilot.press("enter")
@@ -221,7 +221,7 @@ async def test_footer_and_palette_have_the_command(app: ConsoleApp, pilot: Pilot
     assert output_of(app) == ["found"]
 
 
-@with_commands(X='{run: "echo {link} {robot} {state}", where: link}', Z='{run: "echo {topic}", where: topic}')
+@with_commands(Y='{run: "echo {link} {robot} {state}", where: link}', Z='{run: "echo {topic}", where: topic}')
 async def test_links_have_the_keys_of_links(app: ConsoleApp, pilot: Pilot[None]) -> None:
     engine = engine_of(app)
     engine.now = replace(engine.now, links=(LINK, replace(LINK, name="robot2", state=State.DOWN)), role="server")
@@ -230,26 +230,26 @@ async def test_links_have_the_keys_of_links(app: ConsoleApp, pilot: Pilot[None])
     await until(pilot, lambda: isinstance(app.screen, LinksScreen), "the links")
     await pilot.press("Z")
     assert isinstance(app.screen, LinksScreen)
-    await pilot.press("X")
+    await pilot.press("Y")
     await shown(pilot, "exit code 0")
     assert output_of(app) == ["robot2 robot2 down"]
     await pilot.press("escape")
     assert isinstance(app.screen, LinksScreen)
 
 
-@with_commands(X='{run: "echo nothing"}')
+@with_commands(Y='{run: "echo nothing"}')
 async def test_keys_of_commands_stay_out_of_screens(app: ConsoleApp, pilot: Pilot[None]) -> None:
     app.push_screen(MessageScreen(app, route("/map")))
     await pilot.pause()
-    await pilot.press("X")
+    await pilot.press("Y")
     assert isinstance(app.screen, MessageScreen)
 
 
-@with_commands(landmark=CommandMistake.NO_PLACEHOLDER, X='{run: "echo {robt}"}')
+@with_commands(landmark=CommandMistake.NO_PLACEHOLDER, Y='{run: "echo {robt}"}')
 async def test_mistake_is_one_toast(app: ConsoleApp, pilot: Pilot[None]) -> None:
     (notice,) = notices(app)
-    assert "console.yaml: commands.X.run: {robt}" in notice.message
-    await pilot.press("X")
+    assert "console.yaml: commands.Y.run: {robt}" in notice.message
+    await pilot.press("Y")
     assert app.screen is app.main
 
 
@@ -278,7 +278,7 @@ def test_robot_is_the_other_side(role: str, address: str, robot: str) -> None:
 
 TERMINAL = r"""
 commands:
-  X: {run: "echo begin {topic}; sleep 0.3; printf 'a\\033[31mb\\033[2J\\n'; tty; exit 5", where: topic}
+  Y: {run: "echo begin {topic}; sleep 0.3; printf 'a\\033[31mb\\033[2J\\n'; tty; exit 5", where: topic}
   f9: {run: "read -r answer; echo \"answer: $answer\"; read -r again; exit 6", interactive: true, description: asks}
 """
 
@@ -311,7 +311,7 @@ def pressed(tmux: Tmux, key: str, words: str) -> str:
 
 
 def test_key_runs_a_real_command_in_a_terminal(in_tmux: Tmux) -> None:
-    pressed(in_tmux, "X", f"begin {TOPIC}")
+    pressed(in_tmux, "Y", f"begin {TOPIC}")
     picture = in_tmux.wait_for("exit code 5")
     assert "ab\\x1b" not in picture
     assert "│ ab " in picture
@@ -321,7 +321,7 @@ def test_key_runs_a_real_command_in_a_terminal(in_tmux: Tmux) -> None:
 
 
 def test_interactive_command_gets_the_terminal_and_gives_it_back(in_tmux: Tmux) -> None:
-    pressed(in_tmux, "X", "exit code 5")  # it has started: F9 again would be an answer to the command
+    pressed(in_tmux, "Y", "exit code 5")  # it has started: F9 again would be an answer to the command
     in_tmux("send-keys", "Escape")
     in_tmux.wait_for("exit code 5", there=False)
     in_tmux.wait_for("LIVE")
@@ -336,7 +336,7 @@ def test_interactive_command_gets_the_terminal_and_gives_it_back(in_tmux: Tmux) 
     in_tmux.wait_for("LIVE", there=False)
     in_tmux("send-keys", "C-c")
     in_tmux.wait_for("asks: ended by SIGINT")
-    pressed(in_tmux, "X", "exit code 5")
+    pressed(in_tmux, "Y", "exit code 5")
 
 
 CHANGING = """
@@ -377,7 +377,7 @@ def test_what_changes_while_a_command_has_the_terminal_is_shown_after_it(
 
 ENDING = """
 commands:
-  X: {run: "echo $$ >{folder}/pane; sleep 1000"}
+  Y: {run: "echo $$ >{folder}/pane; sleep 1000"}
   f9: {run: "echo $$ >{folder}/terminal; trap '' TERM; echo reads; cat", interactive: true}
 """
 CONSOLE = """
@@ -397,7 +397,7 @@ def test_end_of_the_console_ends_its_commands(folder: Path, monkeypatch: pytest.
     pane = folder / "pane"
     with Terminal(sys.executable, "-c", CONSOLE, str(folder), environ=environ) as terminal:
         terminal.wait_for(TOPIC)
-        terminal.type("X")
+        terminal.type("Y")
         terminal.wait_for("s stop")
         eventually(lambda: pane.exists() and pane.read_text(), what="a command with a pane")
         terminal.type("q\x1b[20~")  # F9
