@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import pytest
 
 from rsb_bridge.model.qos import Qos
@@ -34,3 +36,15 @@ def test_failed_question_is_asked_again() -> None:
         participants.owned(mirrored)
     fails = False
     assert participants.owned(mirrored).node == BRIDGE
+
+
+def test_own_endpoints_take_no_memory() -> None:
+    """Over months, a bridge makes many, and not every middleware's ids begin with the participant's."""
+    participants = BridgeParticipants(list, lambda: 1)
+    tracemalloc.start()
+    for number in range(10_000):
+        participants.know(number.to_bytes(16, "little"), BRIDGE)
+    held, _ = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert held < 100_000
+    assert participants.owned(endpoint("/lidar", 1)._replace(gid=number.to_bytes(16, "little"))).node == BRIDGE

@@ -33,18 +33,18 @@ class BridgeParticipants:
         self._announcers = announcers
         self._version = version
         self._asked = -1
-        self._own: dict[bytes, str] = {}
+        self._own, self._own_node = b"", ""
         self._bridges: dict[bytes, str] = {}  # never changed, only replaced
         self._others: frozenset[bytes] = frozenset()
 
     def know(self, gid: bytes, node: str) -> None:
         """Note the participant of an endpoint of this bridge, whose node is `node`."""
-        self._own[gid[:PARTICIPANT]] = node
+        self._own, self._own_node = gid[:PARTICIPANT], node
 
     def owned(self, endpoint: Endpoint) -> Endpoint:
         """Return an endpoint with the name of its bridge's own node, if it is one of a bridge."""
         participant = endpoint.gid[:PARTICIPANT]
-        bridge = self._own.get(participant) or self._bridge(participant)
+        bridge = self._own_node if participant == self._own else self._bridge(participant)
         return endpoint if bridge in ("", endpoint.node) else endpoint._replace(node=bridge)
 
     def _bridge(self, participant: bytes) -> str:

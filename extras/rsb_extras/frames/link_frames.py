@@ -64,6 +64,9 @@ class FramesText(Wording):
         "not published, as its frames and stamps cannot be found: {reason}: install the type on either side, "
         "or switch frame_prefix and restamp off for the topic"
     )
+    STAMP_NOT_DESCRIBED = (
+        "not restamped: {reason}: install the type on either side, or switch restamp off for the topic"
+    )
     TOO_MANY = (
         "this link's messages have more strings and sequences than are read in a second: send less, "
         "or switch frame_prefix and restamp off for some topics"
@@ -136,11 +139,19 @@ class FrameTransform(MessageTransform):
 
 
 class NotDescribed(MessageTransform):
-    """Keeps messages back whose type nobody describes: with the frames of another robot, they would do harm."""
+    """Stands for what cannot be rewritten, as nobody describes the type: a note, or with a prefix a fault.
 
-    def __init__(self, reason: str) -> None:
-        self._text = FramesText.NOT_DESCRIBED(reason=reason)
-        self.verdict = Verdict(State.DOWN, FramesCause.NOT_DESCRIBED, self._text)
+    With the frames of another robot, messages would do harm; with their own stamps, they are what they are without
+    a measured clock.
+    """
+
+    def __init__(self, reason: str, wish: _Wish) -> None:
+        self._keeps_back = bool(wish.prefix)
+        if self._keeps_back:
+            self._text = FramesText.NOT_DESCRIBED(reason=reason)
+        else:
+            self._text = FramesText.STAMP_NOT_DESCRIBED(reason=reason)
+        self.verdict = Verdict(State.DOWN if self._keeps_back else State.OK, FramesCause.NOT_DESCRIBED, self._text)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, NotDescribed) and other._text == self._text
@@ -148,7 +159,9 @@ class NotDescribed(MessageTransform):
     __hash__ = None  # type: ignore[assignment]
 
     def change(self, content: bytes) -> bytes:
-        raise TransformError(self._text)
+        if self._keeps_back:
+            raise TransformError(self._text)
+        return content
 
 
 class LinkFrames(Extension):
@@ -186,7 +199,7 @@ class LinkFrames(Extension):
                 plan = compile_plan(description, frames=bool(wish.prefix), stamps=wish.restamp)
             except (LinkError, DescriptionError, UnknownTypeError) as error:
                 self._not_described.add(route.key)
-                return NotDescribed(str(error))
+                return NotDescribed(str(error), wish)
             if len(self._plans) >= _PLANS:
                 self._plans.clear()
             self._plans[key] = plan

@@ -70,6 +70,8 @@ class LinkMirrors(Extension):
             return
         nodes, now = self._link.extensions.find(LinkNodes).book.nodes, self._link.context.now()
         running = {self._name_here(name) for name, each in nodes.items() if each.ended is None and is_mirrorable(name)}
+        if unlisted := {name for name, until in self._mine.items() if until <= now}:
+            self._mine |= dict.fromkeys(unlisted & self._names_of_ends(), now + _LISTED_WITHIN)
         leaving = set[str]()
         for name, until in self._mine.items():
             if clash := self._table.clash(name, self._link.name):
@@ -177,6 +179,11 @@ class LinkMirrors(Extension):
         if before in staying and (before in names or not names):
             return before
         return next((name for name in names if name in staying), "")
+
+    def _names_of_ends(self) -> set[str]:
+        """Return the names here of nodes that have what is bridged; the list may have no room for them."""
+        halves = (route.half for route in self._link.routes.values())
+        return {self._name_here(node) for half in halves for node in half.facts.nodes_there}
 
     def _put(self, places: Iterable[EndPlace], node: str) -> None:
         for each in tuple(places):

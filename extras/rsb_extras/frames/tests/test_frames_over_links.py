@@ -260,6 +260,21 @@ def test_frames_without_a_description_wait_for_one(bridge: Bridge, open_node: Ca
     helper.close()
 
 
+def test_restamping_alone_keeps_nothing_back(bridge: Bridge, open_node: Callable[..., RosNode]) -> None:
+    node = open_node(bridge.robot.id, "nameless")
+    helper = Robot(bridge.robot.id, "robot1")
+    text = description(node)
+    helper.close()
+    eventually(lambda: not node.publishers("/tf_static"), what="nobody who describes it")
+    pc, _ = bridge.both(STATIC, features={"restamp": True})
+    spec = TopicSpec("/tf_static", TFMESSAGE, hash_of_text(text), Qos(durability="transient_local", depth=1))
+    node.advertise(spec, "robot").publish(serialized([Frame("arm", "gripper")], 0))
+    tree = Tree(open_node(bridge.pc.id, "rviz"), text, "/tf_static")
+    eventually(lambda: tree.parents.get("gripper") == "arm", what="the frames")
+    eventually(lambda: route(pc, "/tf_static").cause == FramesCause.NOT_DESCRIBED, what="a note")
+    assert route(pc, "/tf_static").state is State.OK
+
+
 def test_a_shift_stays_until_the_clocks_contradict_it() -> None:
     stamps = StampShift()
     stamps.look(None, None, 0.1)

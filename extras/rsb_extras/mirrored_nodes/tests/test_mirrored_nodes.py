@@ -13,6 +13,7 @@ from std_srvs.srv import Trigger
 from tests.support.bridge import happened, is_accepted, link, linked, reloaded
 from tests.support.domain import LATCHED
 from tests.support.inside import inside
+from tests.support.places import Place
 from tests.support.spun import Spun
 from tests.support.waiting import eventually
 from tests.support.wording import has_text
@@ -26,6 +27,7 @@ from rsb_extras.mirrored_nodes.tests.far_program import CAMERA, LIDAR, FarProgra
 from rsb_extras.nodes.link_nodes import LinkNodes
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
     import pytest
@@ -33,6 +35,7 @@ if TYPE_CHECKING:
     from tests.support.domain import Domain
 
     from rsb_bridge.engine import Engine
+    from rsb_bridge.feature_api import Link
 
 ON: dict[str, Any] = {"features": {"graph": GraphKeys(nodes=True)}}
 STRING = "std_msgs/msg/String"
@@ -205,6 +208,43 @@ def test_lost_link_ends_them_with_its_association(bridge: Bridge, far: FarProgra
     assert happened(server, EventCode.ROUTE_MOVED) is None
 
 
+def on_loop(found: Link, work: Callable[[], None]) -> None:
+    """Do something on the I/O thread, and wait for it."""
+    done = threading.Event()
+
+    def do() -> None:
+        work()
+        done.set()
+
+    found.context.call(do)
+    eventually(done.is_set, what="it is done")
+
+
+def test_node_of_a_topic_need_not_be_listed(
+    bridge: Bridge, far: FarProgram, pc: Domain, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The list may have no room for it; else its latched topic would be sent again and again."""
+    monkeypatch.setattr(LinkNodes, "tick", lambda _: None)  # so that no list comes
+    server = bridge.server(**ON)
+    bridge.client(*TOPICS)
+    (found,) = inside(server).role.links()
+
+    def reported() -> bool:
+        return any(each.half.facts.nodes_there == (LIDAR,) for each in found.routes.values() if each.topic == "/plan")
+
+    eventually(reported, what="the other side's report")
+    mirrors = found.extensions.find(LinkMirrors)
+
+    def look_late() -> None:
+        with Place("rsb_extras.mirrored_nodes.link_mirrors", "_LISTED_WITHIN").during(0.0):
+            mirrors.connected()
+        mirrors.update()
+
+    on_loop(found, look_late)
+    assert mirrored(server)[0] == 1
+    assert happened(server, EventCode.ROUTE_MOVED) is None
+
+
 def test_nodes_of_a_quick_return_stay(
     bridge: Bridge, far: FarProgram, pc: Domain, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -222,14 +262,7 @@ def test_nodes_of_a_quick_return_stay(
         bridge.client(*TOPICS)
         eventually(lambda: is_accepted(server, "/plan"), what="open again")
         (found,) = inside(server).role.links()
-        looked = threading.Event()
-
-        def look() -> None:
-            update(found.extensions.find(LinkMirrors))
-            looked.set()
-
-        found.context.call(look)
-        eventually(looked.is_set, what="the first look since")
+        on_loop(found, lambda: update(found.extensions.find(LinkMirrors)))
         assert mirrored(server)[0] == 2
     eventually(lambda: found.extensions.find(LinkNodes).book.nodes, what="the list")
     assert mirrored(server)[0] == 2
