@@ -281,8 +281,11 @@ class BaseLink:
         association, again = self.association, None
         if association is not None and association.resumes(event):
             association.take_up(event.peer.handled)
-            if self.present is not None:
-                self._move()
+            if (channels := self.present) is not None:
+                self.present, reason = None, "there is another connection"
+                channels.control.leave(reason)
+                self.extensions.suspend()
+                channels.suspend(reason)
             again = association.resume(control, event)
         else:
             self.end_association()
@@ -290,13 +293,6 @@ class BaseLink:
             association = self.association = Association(event.keys.link_id, event.peer.instance, channels)
         self.present = association.channels
         return again
-
-    def _move(self) -> None:
-        """End the connection, and nothing else: the association has another one."""
-        reason, channels, self.present = "there is another connection", self.channels, None
-        channels.control.leave(reason)
-        self.extensions.suspend()
-        channels.suspend(reason)
 
     def _resume(self, again: Sequence[UnhandledMessage]) -> None:
         """Send what the peer has not handled on the last connection, and have the link's parts resume."""

@@ -22,9 +22,10 @@ from rsb_bridge.feature_api import (
     operator,
     sanitize_text,
 )
+from rsb_bridge.model.budgets import TokenBucket
 from rsb_extras.units.unit_records import UnitAction, UnitName, UnitOutcome, UnitRecords
 from rsb_extras.units.unit_requests import LONGEST, TICKET_WITHIN
-from rsb_extras.units.unit_runner import Asker, UnitRunner
+from rsb_extras.units.unit_runner import Asker, UnitProblem, UnitRunner
 
 if TYPE_CHECKING:
     from rsb_bridge.feature_api import Link
@@ -32,6 +33,9 @@ if TYPE_CHECKING:
 
 TICKET_LIFE = 5.0
 """s that a ticket counts. A round figure: a link that takes longer for two messages is too slow for such requests."""
+
+_ASKED, ASKED_WITHIN = 12, 60.0
+"""Requests of a peer that are judged in so many s, refused ones too. Twice as many as may begin."""
 
 
 class AskUnits(ControlMessageBase, frozen=True):
@@ -120,6 +124,8 @@ class LinkUnits(Extension):
         self._request = 0
         self._peer_has = False
         self._given = _Ticket(0, 0.0, None)
+        self._allowance = TokenBucket(_ASKED, _ASKED / ASKED_WITHIN, link.context.now())
+        """Of the peer's requests, refused ones too: each is logged."""
         self._waits: tuple[int, asyncio.Future[UnitOutcome]] | None = None
 
     def connected(self) -> None:
@@ -145,9 +151,13 @@ class LinkUnits(Extension):
 
     def _run_asked(self, ask: RunUnit) -> None:
         number, until, association = self._given
-        is_valid = ask.ticket == number and association is self._link.association
-        if not is_valid or self._link.context.now() >= until:
-            self._link.send(UnitEnded(ask.ticket, UnitOutcome(refused=True, reason=LinkUnitsProblem.TOO_LATE())))
+        is_valid, now = ask.ticket == number and association is self._link.association, self._link.context.now()
+        if not is_valid or now >= until:
+            reason = LinkUnitsProblem.TOO_LATE()
+        else:
+            reason = "" if self._allowance.take(1, now) else UnitProblem.TOO_OFTEN(most=_ASKED, seconds=ASKED_WITHIN)
+        if reason:
+            self._link.send(UnitEnded(ask.ticket, UnitOutcome(refused=True, reason=reason)))
             return
         self._given = _Ticket(number, 0.0, None)
         self._link.spawn(self._run_for_peer(ask))

@@ -5,4 +5,5 @@ from __future__ import annotations
 from tests.support.places import Place
 
 TICKET_LIFE = Place("rsb_extras.node_control.link_changes", "TICKET_LIFE")
+MANAGED_NAMES = Place("rsb_extras.node_control.node_changer", "managed_names")
 STARTS_WITHIN = Place("rsb_extras.node_control.link_changes", "STARTS_WITHIN")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 import pytest
-from tests.link.foreign_proposals_helpers import link, rogue
+from tests.link.foreign_proposals_helpers import rogue
 from tests.support.bridge import happened
 from tests.support.waiting import eventually
 from tests.wire.document_helpers import documented_fields
@@ -28,8 +28,8 @@ from rsb_extras.node_control.change_records import (
 )
 from rsb_extras.node_control.change_requests import ChangeNodes, ListManaged
 from rsb_extras.node_control.link_changes import AskManaged, ChangeEnded, ManagedAnswer, RunChange
-from rsb_extras.node_control.node_changer import STARTS, ChangeCode, NodeChanger
-from rsb_extras.node_control.tests.control_places import STARTS_WITHIN, TICKET_LIFE
+from rsb_extras.node_control.node_changer import STARTS, ChangeCode
+from rsb_extras.node_control.tests.control_places import MANAGED_NAMES, STARTS_WITHIN, TICKET_LIFE
 from rsb_extras.node_control.tests.managed_nodes import ManagedNodes, has
 
 if TYPE_CHECKING:
@@ -169,13 +169,21 @@ def test_a_forgotten_change_is_told_once_more(bridge: Bridge) -> None:
         assert server.snapshot().links[0].state is State.OK
 
 
-def test_peers_that_see_no_node_have_none_asked(bridge: Bridge, nodes: ManagedNodes) -> None:
+def test_peers_that_see_no_node_have_none_asked(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
+    looks: list[Any] = []
+
+    async def look(context: Any) -> tuple[str, ...]:
+        looks.append(context)
+        return ()
+
+    MANAGED_NAMES.set(monkeypatch, look)
     server = bridge.server(features={"show_nodes": False})
     with rogue(bridge) as peer:
         peer.say(AskManaged(1))
         assert peer.wait_for(ManagedAnswer).managed == Managed()
-        changer = link(server).context.shared(NodeChanger)
-        assert not changer.services._kept
+    assert looks == []
+    server.do(ListManaged(here=True)).result(60)
+    assert len(looks) == 1, "this side's operators have them asked"
 
 
 def test_no_link_is_asked_for_this_sides_nodes(bridge: Bridge, nodes: ManagedNodes) -> None:

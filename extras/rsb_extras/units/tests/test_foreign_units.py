@@ -20,7 +20,7 @@ from rsb_bridge.wire.protocol_error import Broken
 from rsb_extras import units
 from rsb_extras.units.link_units import AskUnits, RunUnit, UnitAnswer, UnitEnded
 from rsb_extras.units.tests.supervised import Supervised, has, may, waiting
-from rsb_extras.units.tests.units_places import TICKET_LIFE
+from rsb_extras.units.tests.units_places import ASKED_WITHIN, TICKET_LIFE
 from rsb_extras.units.unit_records import UnitOutcome, UnitRecord
 from rsb_extras.units.unit_runner import STARTS, UnitCode
 
@@ -183,6 +183,14 @@ def test_one_at_a_time_and_few_a_minute(bridge: Bridge, bed: Bed) -> None:
         assert peer.wait_for(UnitEnded).outcome.done
         done = [outcome(peer, "nav").done for _ in range(STARTS + 3)]
     assert done == [True] * (STARTS - 1) + [False] * 4
+
+
+def test_refused_requests_do_not_fill_the_log(bridge: Bridge, bed: Bed, monkeypatch: pytest.MonkeyPatch) -> None:
+    ASKED_WITHIN.set(monkeypatch, 1e6)
+    server = bed.start()
+    with rogue(bridge) as peer:
+        assert all(outcome(peer, "other").refused for _ in range(20))
+    assert sum(each.code == UnitCode.REFUSED for each in server.events()) == 12
 
 
 def test_looks_are_bounded(bridge: Bridge, bed: Bed) -> None:

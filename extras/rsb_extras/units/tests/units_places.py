@@ -4,4 +4,5 @@ from __future__ import annotations
 
 from tests.support.places import Place
 
+ASKED_WITHIN = Place("rsb_extras.units.link_units", "ASKED_WITHIN")
 TICKET_LIFE = Place("rsb_extras.units.link_units", "TICKET_LIFE")
