@@ -10,13 +10,14 @@ if TYPE_CHECKING:
     from rsb_console.actions.action import Action, Beginning, CameraSight, Group, KeyChapter, OnNode, OnRobot, late
     from rsb_console.actions.all_actions import ACTIONS
     from rsb_console.command.argument_values import count, seconds, within
-    from rsb_console.command.formatting import json_line
+    from rsb_console.command.formatting import json_line, json_value
     from rsb_console.command.remote_arguments import (
         EXIT,
         NO_BRIDGE,
         AddCommand,
         Complete,
         bridge_options,
+        inherit_bridge_options,
         named_bridge_options,
         route_arguments,
         subcommand,
@@ -44,6 +45,8 @@ if TYPE_CHECKING:
     from rsb_console.screens.filtered_screen import FilteredScreen
     from rsb_console.screens.main import MainScreen
     from rsb_console.screens.message_screen import MessageView
+    from rsb_console.session.parameter_files import WrittenValue, parameters_text, read_parameter_file
+    from rsb_console.session.parameter_values import parameter_value, shown_value
     from rsb_console.terminal.input_queue import DIALOG, GuardedScreen
     from rsb_console.terminal_app import TerminalApp
     from rsb_console.widgets.filter import Prompt, RowFilter
@@ -65,13 +68,14 @@ _NAMES = {
         "late",
     ),
     "rsb_console.command.argument_values": ("count", "seconds", "within"),
-    "rsb_console.command.formatting": ("json_line",),
+    "rsb_console.command.formatting": ("json_line", "json_value"),
     "rsb_console.command.remote_arguments": (
         "EXIT",
         "NO_BRIDGE",
         "AddCommand",
         "Complete",
         "bridge_options",
+        "inherit_bridge_options",
         "named_bridge_options",
         "route_arguments",
         "subcommand",
@@ -99,6 +103,8 @@ _NAMES = {
     "rsb_console.screens.filtered_screen": ("FilteredScreen",),
     "rsb_console.screens.main": ("MainScreen",),
     "rsb_console.screens.message_screen": ("MessageView",),
+    "rsb_console.session.parameter_files": ("WrittenValue", "parameters_text", "read_parameter_file"),
+    "rsb_console.session.parameter_values": ("parameter_value", "shown_value"),
     "rsb_console.terminal.input_queue": ("DIALOG", "GuardedScreen"),
     "rsb_console.terminal_app": ("TerminalApp",),
     "rsb_console.widgets.filter": ("Prompt", "RowFilter"),

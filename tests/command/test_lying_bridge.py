@@ -42,12 +42,17 @@ ASKING = [
     "client remove robot1", "client remove pc.yaml robot1", "bench --quick --seconds 1", "doctor pc.yaml",
     "nodes", "nodes --json", "units", "units --json", "units restart '' --yes",
     "lifecycle", "lifecycle --json", "lifecycle up '' --yes",
+    "params list", "params list --json", "params list /n --link robot1", "params list /n --link robot1 --json",
+    "params get /n '' --link robot1", "params set /n '' 1 --link robot1 --yes", "params dump /n --link robot1",
+    "params dump /n --link robot1 --output mine.yaml", "params diff /n nav.yaml --link robot1",
+    "params load /n nav.yaml --link robot1 --yes",
     "fleet --json --seconds 1", "fleet dismiss --all", "fleet exec --all -- status",
     f"fleet edit --all {SCAN} max_rate=5 --yes",
 ]  # fmt: skip
 """Each command that asks a bridge."""
 ASKS_NOBODY = {"check", "keygen", "import", "bt-scan", "demo", "service", "audit", "completion"}
 HAS_A_SCREEN = {"attach", "run"}
+ASKS_OFTEN = {"mcp"}  # each of its tools runs one of the commands that ask
 
 
 class Bed(NamedTuple):
@@ -72,6 +77,7 @@ def bed(monkeypatch: pytest.MonkeyPatch) -> Iterator[Bed]:
             each.mkdir(mode=0o700)
         save(_server(), bed.work / "pc.yaml")
         save(_server(), bed.own / "pc.yaml")
+        (bed.work / "nav.yaml").write_text("/n: {ros__parameters: {a: 1}}\n")
         write_key(bed.work / "robot1.key")
         write_key(bed.own / "robot1.key")
         for name in ("XDG_STATE_HOME", "XDG_CONFIG_HOME", "XDG_CACHE_HOME", "XDG_DATA_HOME", "HOME"):
@@ -127,12 +133,12 @@ def _may_change(line: str) -> set[str]:
     """Return the names of files in the working folder that a command's own arguments have it change."""
     if line.startswith("client") and "pc.yaml" in line:
         return {"pc.yaml", "pc.yaml~", "robot1.key", "robot3.key", "robot1-next.key"}
-    return {"mine.png"}
+    return {"mine.png", "mine.yaml"}
 
 
 def test_no_command_is_forgotten() -> None:
-    known = {line.split()[0] for line in ASKING} | ASKS_NOBODY | HAS_A_SCREEN
+    known = {line.split()[0] for line in ASKING} | ASKS_NOBODY | HAS_A_SCREEN | ASKS_OFTEN
     assert known == {*subcommands_of(parser_and_commands()[0])}
-    for group in ("client", "param"):
-        named = {line.split()[1] for line in ASKING if line.startswith(group)}
+    for group in ("client", "param", "params"):
+        named = {line.split()[1] for line in ASKING if line.startswith(f"{group} ")}
         assert named == {*subcommands_of(subcommands_of(parser_and_commands()[0])[group])}

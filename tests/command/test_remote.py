@@ -472,6 +472,11 @@ NEEDED = {
     "param list": "/n",
     "param get": "/n a",
     "param set": "/n a 1",
+    "params get": "/n a",
+    "params set": "/n a 1",
+    "params dump": "/n",
+    "params diff": "/n a.yaml",
+    "params load": "/n a.yaml",
 }
 """The arguments that commands need."""
 ALONE = ("status", "topics", "retry", "restart", "reload", "save", "events", "stop")

@@ -28,7 +28,7 @@ BEYOND = {
     "doctor": 68,
     "driving": 55,
     "exporters": 24,
-    "fleet": 70,
+    "fleet": 69,
     "frames": 14,
     "history": 14,
     "imports": 39,

@@ -36,7 +36,8 @@ exit codes:
   1  no response came, or the bridge refused; the message has the reason
 {NO_BRIDGE}"""
 _PARAM = f"""\
-The parameters of the node have to be bridged: rsb-console add --parameters.
+The parameters of the node have to be bridged: rsb-console add --parameters. For
+others there is rsb-console params.
 
 exit codes:
   0  done

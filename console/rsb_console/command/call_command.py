@@ -20,6 +20,7 @@ from rsb_console.command.shell import FAILURE, OK, print_error, print_line, prin
 from rsb_console.command.target import ANSWERED_WITHIN, UsageError, attached, chosen_route, done, failed, fields_from
 from rsb_console.notation.formats import answer_report
 from rsb_console.session.draft import suggestion
+from rsb_console.session.parameter_files import parameters_text
 from rsb_console.session.parameter_values import KIND_NAMES, KINDS, refusal, set_request, value_of
 
 if TYPE_CHECKING:
@@ -208,7 +209,7 @@ def dump_parameters(arguments: Namespace) -> int:
     known = {name: value for name, value in values.items() if value is not None}
     if arguments.json:
         return done(arguments, node=route.topic, parameters=json_value(known))
-    print_lines(dump_yaml({route.topic: {"ros__parameters": known}}).removesuffix("\n"))
+    print_lines(parameters_text(route.topic, known).removesuffix("\n"))
     return OK
 
 

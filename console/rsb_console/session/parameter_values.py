@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import yaml
 
 from rsb_bridge.config.fields_text import read_fields
-from rsb_bridge.config.yaml_text import YamlError, compose, dump_yaml
+from rsb_bridge.config.yaml_text import YamlError, compose, dump_yaml, inline
 from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.wording import Wording
 
@@ -106,6 +106,35 @@ def set_request(name: str, value: str, kind: str = "") -> ParameterRequest:
     shown = value.strip()
     meaning = f"{shown[:_SHOWN]}{'…' * (len(shown) > _SHOWN)} ({meant.words})"
     return ParameterRequest(dump_yaml(request), meaning, meant.name, plain)
+
+
+def parameter_value(value: str, kind: str = "") -> tuple[str, Any]:
+    """Return the type of a value, one of `KIND_NAMES`, and the value as plain data: bytes are integers.
+
+    Args:
+        value: as YAML, as for `set_request`.
+        kind: one of `KIND_NAMES` that it must have, or empty to take the kind that it shows.
+
+    Raises:
+        FieldError: it is not a parameter value, or not of that kind.
+    """
+    # An empty word means an empty text; as YAML it would be no value.
+    return value_of_node(_node(value or "''"), kind)
+
+
+def value_of_node(node: yaml.Node, kind: str = "") -> tuple[str, Any]:
+    """Do as `parameter_value` for a value in a YAML document."""
+    try:
+        meant, plain = _meant(node, kind)
+    except OverflowError as error:
+        raise FieldError(str(error)) from None
+    return meant.name, plain
+
+
+def shown_value(plain: Any) -> str:
+    """Return a value as YAML on one line, cut if it is long."""
+    text = inline(plain)
+    return f"{text[:_SHOWN]}{'…' * (len(text) > _SHOWN)}"
 
 
 def _node(value: str) -> yaml.Node:

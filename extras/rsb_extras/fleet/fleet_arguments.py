@@ -6,8 +6,8 @@ import argparse
 from typing import TYPE_CHECKING
 
 from rsb_console.command.command_parser import CommandParser
-from rsb_console.command.remote_arguments import console_options, inherit_bridge_options
-from rsb_console.feature_console import bridge_options, count, seconds, subcommand
+from rsb_console.command.remote_arguments import console_options
+from rsb_console.feature_console import bridge_options, count, inherit_bridge_options, seconds, subcommand
 from rsb_console.library_internals.argparse_internals import Subcommands, commands_of
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""Node control: operators of either side change the lifecycle states of a robot's nodes, alone or in groups."""
+"""Node control: operators of either side change lifecycle states and parameters of a robot's nodes."""
 
 from __future__ import annotations
 
@@ -45,8 +45,9 @@ class NodeControl(Feature):
             ManagedAnswer,
             RunChange,
         )
+        from rsb_extras.node_control.parameter_records import AskParameters, ParametersAnswer  # noqa: PLC0415
 
-        return AskManaged, ManagedAnswer, RunChange, ChangeEnded
+        return AskManaged, ManagedAnswer, RunChange, ChangeEnded, AskParameters, ParametersAnswer
 
     def extensions(self, link: Link) -> Iterable[Extension]:
         from rsb_extras.node_control.link_changes import LinkChanges  # noqa: PLC0415
@@ -55,8 +56,9 @@ class NodeControl(Feature):
 
     def commands(self) -> Iterable[type[Command[Any]]]:
         from rsb_extras.node_control.change_requests import ChangeNodes, ListManaged  # noqa: PLC0415
+        from rsb_extras.node_control.parameter_requests import ListParameterNodes, ReadParameters  # noqa: PLC0415
 
-        return ListManaged, ChangeNodes
+        return ListManaged, ChangeNodes, ListParameterNodes, ReadParameters
 
     def parts(self, bridge: Bridge) -> Iterable[EnginePart]:
         from rsb_extras.node_control.changes_part import ChangesPart  # noqa: PLC0415
@@ -65,8 +67,10 @@ class NodeControl(Feature):
 
     def subcommands(self, add: AddCommand, complete: Complete) -> None:
         from rsb_extras.node_control.lifecycle_arguments import add_lifecycle  # noqa: PLC0415
+        from rsb_extras.node_control.params_arguments import add_params  # noqa: PLC0415
 
         add_lifecycle(add, complete)
+        add_params(add, complete)
 
     def actions(self) -> Iterable[Action]:
         from rsb_console.feature_console import Action, Group, OnNode, late  # noqa: PLC0415

@@ -74,10 +74,21 @@ class FieldReader:
             raise MalformedAnswerError(f"it says to have {count} elements")
         return count
 
-    def text(self) -> str:
-        length = self.count(1, len(self._message))
-        content = self._take(length)[: max(0, length - 1)]
-        return content[:LONGEST_TEXT].decode("utf-8", "replace")
+    def text(self, longest: int | None = LONGEST_TEXT) -> str:
+        content = self.octets()[:-1]
+        return content[:longest].decode("utf-8", "replace")
+
+    def octets(self) -> bytes:
+        """Take a sequence of bytes."""
+        return self._take(self.count(1, len(self._message)))
+
+    def numbers(self, code: str, most: int) -> list[float]:
+        """Take a sequence of numbers by their code of `struct`."""
+        size = struct.calcsize(code)
+        count = self.count(size, most)
+        if count:
+            self._at += -(self._at - _HEADER) % size
+        return list(struct.unpack(f"{self._order}{count}{code}", self._take(count * size)))
 
     def _take(self, size: int) -> bytes:
         taken = self._message[self._at : self._at + size]

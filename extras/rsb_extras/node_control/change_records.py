@@ -22,6 +22,8 @@ NODE_NAME = re.compile(r"/[A-Za-z0-9_/]{1,254}")
 
 Transition: TypeAlias = Literal["configure", "activate", "deactivate", "cleanup", "shutdown"]
 LifecycleAction: TypeAlias = Literal["up", "down", "configure", "activate", "deactivate", "cleanup", "shutdown"]
+ChangeAction: TypeAlias = Literal[LifecycleAction, "set"]
+"""What a change does: with the states of nodes, or with the parameters of one."""
 Target: TypeAlias = Annotated[str, Meta(min_length=1, max_length=255, pattern=r"\A[A-Za-z0-9_/-]*\Z")]
 """A node's full name, or a group's, which has no slash."""
 StateName: TypeAlias = Annotated[str, Meta(max_length=32, pattern=PRINTABLE)]
@@ -61,7 +63,7 @@ class ChangeStep(msgspec.Struct, frozen=True, omit_defaults=True):
     """One node's answer to one transition.
 
     Attributes:
-        what: the transition.
+        what: the transition, or "set" for parameters.
         state: afterwards, or empty if unknown.
         reason: why it is not done, for an operator, or empty.
         seconds: until the answer.
@@ -99,7 +101,7 @@ class NodeChange(msgspec.Struct, frozen=True, omit_defaults=True):
     """A change that is under way, or one of the last that have ended."""
 
     target: Target
-    action: LifecycleAction
+    action: ChangeAction
     outcome: ChangeOutcome = ChangeOutcome()
 
 

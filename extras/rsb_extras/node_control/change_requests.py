@@ -1,11 +1,12 @@
-"""What a console asks an engine about managed nodes: which there are, and a change of some."""
+"""What a console asks an engine about managed nodes, which there are, and any change of a node."""
 
 from __future__ import annotations
 
 import msgspec
 
 from rsb_bridge.feature_api import Command, Effect, Name, Reason, Right
-from rsb_extras.node_control.change_records import ChangeOutcome, LifecycleAction, Managed
+from rsb_extras.node_control.change_records import ChangeAction, ChangeOutcome, Managed
+from rsb_extras.node_control.parameter_records import NewValues
 
 TICKET_WITHIN = 10.0
 """s in which the other side lists its nodes, whose states it finds for 2 s at most, or gives a ticket."""
@@ -40,10 +41,16 @@ class ListManaged(Command[tuple[ManagedSide, ...]], frozen=True, tag="list_manag
 
 
 class ChangeNodes(Command[ChangeOutcome], frozen=True, tag="change_nodes"):
-    """Change the states of a node, or of a group's nodes in order, and wait for the end."""
+    """Change the states of a node, or of a group's nodes in order, or a node's parameters, and wait for the end.
+
+    Attributes:
+        link: whose other side has it, or empty for this side.
+        values: to be set, if that is the action: all of them, or none.
+    """
 
     always = Effect.MOVES | Effect.LOSES
     refreshes = False
     target: str
-    action: LifecycleAction
-    link: str = ""  # whose other side has it, or empty for this side
+    action: ChangeAction
+    link: str = ""
+    values: NewValues = ()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from functools import partial
 from typing import TYPE_CHECKING
 
 from rsb_bridge.feature_api import EnginePart, LinkError, link_named, one_line, operator, sanitize_text
@@ -10,11 +11,15 @@ from rsb_extras.node_control import GROUPS
 from rsb_extras.node_control.change_records import GROUP_NAME, NODE_NAME, ChangeText, Managed
 from rsb_extras.node_control.change_requests import ChangeNodes, ListManaged, ManagedSide
 from rsb_extras.node_control.link_changes import LinkChanges
-from rsb_extras.node_control.node_changer import ChangeAsker, ChangeCode, NodeChanger
+from rsb_extras.node_control.node_changer import ChangeAsker, ChangeCode, ChangeProblem, NodeChanger
+from rsb_extras.node_control.parameter_nodes import is_settable, named, read_pages
+from rsb_extras.node_control.parameter_records import LARGEST_CHANGE, MOST_SET, AskParameters
+from rsb_extras.node_control.parameter_requests import ListParameterNodes, ParameterSide, ReadParameters
 
 if TYPE_CHECKING:
     from rsb_bridge.feature_api import Bridge, Link, Snapshot
     from rsb_extras.node_control.change_records import ChangeOutcome
+    from rsb_extras.node_control.parameter_records import NodeParameter
 
 
 class ChangesPart(EnginePart):
@@ -22,7 +27,12 @@ class ChangesPart(EnginePart):
         super().__init__()
         self._bridge = bridge
         self._changer = bridge.context.shared(NodeChanger)
-        self.handlers = {ListManaged: self._list, ChangeNodes: self._change}
+        self.handlers = {
+            ListManaged: self._list,
+            ChangeNodes: self._change,
+            ListParameterNodes: self._list_parameter_nodes,
+            ReadParameters: self._read_parameters,
+        }
         self.by_key = (((GROUPS.name,), lambda: None),)  # it is read whenever it is needed
 
     def tick(self, snapshot: Snapshot) -> None:
@@ -46,19 +56,45 @@ class ChangesPart(EnginePart):
         except LinkError as error:
             return ManagedSide(link.name, problem=sanitize_text(str(error)))
 
+    async def _list_parameter_nodes(self, command: ListParameterNodes) -> tuple[ParameterSide, ...]:
+        if command.link:
+            return (await self._parameter_side(link_named(command.link, self._bridge.links())),)
+        linked = [link for link in self._bridge.links() if link.linked]
+        own = await self._changer.parameters(AskParameters(0), ChangeAsker(operator()))
+        sides = (ParameterSide(nodes=own.nodes), *await asyncio.gather(*map(self._parameter_side, linked)))
+        return tuple(side for side in sides if side.nodes or side.problem)
+
+    async def _parameter_side(self, link: Link) -> ParameterSide:
+        try:
+            answer = await link.extensions.find(LinkChanges).parameters(AskParameters(0))
+        except LinkError as error:
+            return ParameterSide(link.name, problem=sanitize_text(str(error)))
+        return ParameterSide(link.name, answer.nodes, answer.problem)
+
+    async def _read_parameters(self, command: ReadParameters) -> tuple[NodeParameter, ...]:
+        _check_target(command.node)
+        if command.link:
+            page = link_named(command.link, self._bridge.links()).extensions.find(LinkChanges).parameters
+        else:
+            page = partial(self._changer.parameters, asker=ChangeAsker(operator()))
+        return await read_pages(page, command.node, command.names, whole=command.whole)
+
     async def _change(self, command: ChangeNodes) -> ChangeOutcome:
         target, action = command.target, command.action
-        if (NODE_NAME if "/" in target else GROUP_NAME).fullmatch(
-            target
-        ) is None:  # the other side would take it for a broken message
-            raise LinkError(f"{one_line(target)} is neither a node's full name nor a group's: /part/part, or nav")
+        _check_target(target)
         if not command.link:
-            return await self._changer.run(target, action, ChangeAsker(operator()))
+            return await self._changer.run(target, action, ChangeAsker(operator()), command.values)
         link = link_named(command.link, self._bridge.links())
+        if action == "set" and not is_settable(command.values):
+            raise LinkError(ChangeProblem.NO_VALUES(most=MOST_SET, size=LARGEST_CHANGE))
         what, log = f"{target} of {link.name}", self._bridge.log
-        log.add(ChangeCode.BEGAN, f"{what}: {action} asked for", link=link.name)
+        log.add(
+            ChangeCode.BEGAN,
+            f"{what}: {f'set {named(command.values)}' if command.values else action} asked for",
+            link=link.name,
+        )
         try:
-            outcome = await link.extensions.find(LinkChanges).run(target, action)
+            outcome = await link.extensions.find(LinkChanges).run(target, action, command.values)
         except LinkError as error:
             log.add(ChangeCode.FAILED, f"{what}: {action}: {error}: asked for", link=link.name)
             raise
@@ -68,3 +104,9 @@ class ChangesPart(EnginePart):
 
     async def close(self) -> None:
         await self._changer.close()
+
+
+def _check_target(target: str) -> None:
+    """Refuse what the other side would take for a broken message."""
+    if (NODE_NAME if "/" in target else GROUP_NAME).fullmatch(target) is None:
+        raise LinkError(f"{one_line(target)} is neither a node's full name nor a group's: /part/part, or nav")

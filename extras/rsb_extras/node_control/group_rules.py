@@ -23,7 +23,7 @@ class GroupRulesText(Wording):
     TWICE = "{node} stands in it already: a node has one place in the order"
     NO_GROUP = "{name} is no group of this session: list it under groups, or give a node's full name, /part/part"
     ORDER = "group {name}: up configures and activates {nodes}, one after the other; down goes back in reverse"
-    MAY = "{peer} may change the states of: {names}"
+    MAY = "{peer} may change states and parameters of: {names}"
 
 
 def problems(session: Session) -> Iterator[tuple[str, str]]:

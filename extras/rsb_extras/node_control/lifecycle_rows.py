@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from rsb_bridge.feature_api import Wording, other_side
 from rsb_extras.node_control.change_records import (
     LIFECYCLE_ACTIONS,
+    ChangeAction,
     ChangeOutcome,
     LifecycleAction,
     ListedGroup,
@@ -94,7 +95,7 @@ def _group_state(group: ListedGroup, known: dict[str, ManagedNode]) -> str:
     return ", ".join(f"{count} {state}" for state, count in states.items())
 
 
-def outcomes(sides: Sequence[ManagedSide]) -> dict[str, tuple[LifecycleAction, ChangeOutcome]]:
+def outcomes(sides: Sequence[ManagedSide]) -> dict[str, tuple[ChangeAction, ChangeOutcome]]:
     """Return the newest change of each target, by the key of its row."""
     return {
         f"{side.link} {each.target}": (each.action, each.outcome) for side in sides for each in side.managed.changes

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.feature_api import EngineApi
     from rsb_console.feature_console import Console, Line, MainScreen
-    from rsb_extras.node_control.change_records import ChangeOutcome, LifecycleAction
+    from rsb_extras.node_control.change_records import ChangeAction, ChangeOutcome, LifecycleAction
     from rsb_extras.node_control.change_requests import ManagedSide
 
 _RENEWED_EVERY = 1.0  # s; the bridges look at the nodes as often
@@ -213,7 +213,7 @@ def _ended(row: LifecycleRow, text: str) -> str:
     return LifecycleText.ENDED(target=row.name, side=row.side, text=text)
 
 
-def _lines(row: LifecycleRow, action: LifecycleAction, outcome: ChangeOutcome, width: int) -> Iterator[Line]:
+def _lines(row: LifecycleRow, action: ChangeAction, outcome: ChangeOutcome, width: int) -> Iterator[Line]:
     text = _ended(row, ChangeText.of(action, outcome))
     if not outcome.is_over:
         yield ((text, "waiting"),)

@@ -10,6 +10,8 @@ import asyncio
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
+import msgspec
+
 from rsb_bridge.feature_api import (
     TEXT_LENGTH,
     ControlMessageBase,
@@ -23,9 +25,10 @@ from rsb_bridge.feature_api import (
     sanitize_text,
 )
 from rsb_bridge.model.budgets import TokenBucket
-from rsb_extras.node_control.change_records import ChangeOutcome, LifecycleAction, Managed, Target
+from rsb_extras.node_control.change_records import ChangeAction, ChangeOutcome, Managed, Target
 from rsb_extras.node_control.change_requests import LONGEST, TICKET_WITHIN
 from rsb_extras.node_control.node_changer import STARTS, STARTS_WITHIN, ChangeAsker, ChangeProblem, NodeChanger
+from rsb_extras.node_control.parameter_records import AskParameters, NewValues, ParametersAnswer
 
 if TYPE_CHECKING:
     from rsb_bridge.feature_api import Link
@@ -34,6 +37,8 @@ TICKET_LIFE = 5.0
 """s that a ticket counts. A round figure: a link that takes longer for two messages is too slow for such requests."""
 _MOST_TICKETS = 4
 """Tickets that a peer may have at a time: one for each operator who asks just now."""
+_PAGE_WITHIN = 20.0
+"""s for a page of parameters, of which the node has 6, and a thin line some more. A round figure."""
 _REMEMBERED = 8
 """Changes of a peer whose ends are remembered for its next connection."""
 
@@ -67,13 +72,15 @@ class RunChange(ControlMessageBase, frozen=True, omit_defaults=True):
     Attributes:
         who: the operator, as the asking side says.
         again: whether it was asked for on another connection already.
+        values: parameters to be set, if that is the action.
     """
 
     ticket: Count
     target: Target
-    action: LifecycleAction
+    action: ChangeAction
     who: Name = ""
     again: bool = False
+    values: NewValues = ()
 
 
 class ChangeEnded(ControlMessageBase, frozen=True):
@@ -120,11 +127,14 @@ class LinkChanges(Extension):
             ManagedAnswer: self._answered,
             RunChange: self._run_asked,
             ChangeEnded: self._ended,
+            AskParameters: self._parameters_asked,
+            ParametersAnswer: self._parameters_answered,
         }
         self._link = link
         self._changer = link.context.shared(NodeChanger)
         self._changer.links.add(link)
         self._questions: Questions[ManagedAnswer] = Questions(link, TICKET_WITHIN)
+        self._pages: Questions[ParametersAnswer] = Questions(link, _PAGE_WITHIN)
         self._request = 0
         self._peer_has = False
         self._last_ticket = link.context.wall_ns() >> 16
@@ -140,10 +150,11 @@ class LinkChanges(Extension):
     def connected(self) -> None:
         self._peer_has = True
         for request, _ in self._waits.values():
-            self._link.send(RunChange(request.ticket, request.target, request.action, request.who, again=True))
+            self._link.send(msgspec.structs.replace(request, again=True))
 
     def disconnected(self) -> None:
         self._questions.disconnected()
+        self._pages.disconnected()
         self._reporting.clear()
         self._peer_has = False
 
@@ -184,7 +195,7 @@ class LinkChanges(Extension):
 
     def _begin(self, ask: RunChange) -> asyncio.Task[ChangeOutcome]:
         asker = ChangeAsker(f"{self._link.peer_name}, which says: {ask.who or 'an operator'}", self._link)
-        run = self._link.context.loop.create_task(self._changer.run(ask.target, ask.action, asker))
+        run = self._link.context.loop.create_task(self._changer.run(ask.target, ask.action, asker, ask.values))
         self._runs[ask.ticket] = run
         over = [ticket for ticket, each in self._runs.items() if each.done()]
         for ticket in over[:-_REMEMBERED]:
@@ -198,6 +209,9 @@ class LinkChanges(Extension):
         if self._link.association is association:  # another one asks again
             self._link.send(ChangeEnded(ticket, outcome))
 
+    def _parameters_asked(self, ask: AskParameters) -> None:
+        self._pages.answer(ask.request, partial(self._changer.parameters, ask, ChangeAsker("", self._link)))
+
     # --- for this side's operators
 
     async def managed(self) -> Managed:
@@ -208,12 +222,18 @@ class LinkChanges(Extension):
         """
         return (await self._ask(ticket=False)).managed
 
-    async def run(self, target: str, action: LifecycleAction) -> ChangeOutcome:
+    async def parameters(self, ask: AskParameters) -> ParametersAnswer:
+        """Return the peer's answer to a question, whose number does not matter; raises as `managed`."""
+        self._check_peer()
+        self._request += 1
+        return await self._pages.ask(self._request, msgspec.structs.replace(ask, request=self._request))
+
+    async def run(self, target: str, action: ChangeAction, values: NewValues = ()) -> ChangeOutcome:
         """Have the peer carry out a change, over any number of connections; raises as `managed`."""
         ticket = (await self._ask(ticket=True)).ticket
         if ticket in self._waits:
             raise LinkError(LinkChangesProblem.TWICE(link=self._link.name))
-        request = RunChange(ticket, target, action, sanitize_text(operator(), TEXT_LENGTH))
+        request = RunChange(ticket, target, action, sanitize_text(operator(), TEXT_LENGTH), values=values)
         waiting = self._waits[ticket] = _Waiting(request, self._link.context.loop.create_future())
         try:
             self._link.send(request)
@@ -225,15 +245,21 @@ class LinkChanges(Extension):
             del self._waits[ticket]
 
     async def _ask(self, *, ticket: bool) -> ManagedAnswer:
+        self._check_peer()
+        self._request += 1
+        return await self._questions.ask(self._request, AskManaged(self._request, ticket))
+
+    def _check_peer(self) -> None:
         if not self._link.linked:
             raise LinkError(LinkChangesProblem.NOT_LINKED(link=self._link.name, reason=self._link.down_reason))
         if not self._peer_has:
             raise LinkError(LinkChangesProblem.NOT_THERE(link=self._link.name))
-        self._request += 1
-        return await self._questions.ask(self._request, AskManaged(self._request, ticket))
 
     def _answered(self, answer: ManagedAnswer) -> None:
         self._questions.answered(answer.request, answer)
+
+    def _parameters_answered(self, answer: ParametersAnswer) -> None:
+        self._pages.answered(answer.request, answer)
 
     def _ended(self, ended: ChangeEnded) -> None:
         waiting = self._waits.get(ended.ticket)

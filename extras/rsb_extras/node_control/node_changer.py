@@ -26,13 +26,16 @@ from rsb_extras.node_control.change_records import (
 )
 from rsb_extras.node_control.lifecycle_nodes import managed_names, managed_node, phases, transit
 from rsb_extras.node_control.node_services import NodeServices
+from rsb_extras.node_control.parameter_nodes import is_settable, named, nodes_with_parameters, page_of, set_parameters
+from rsb_extras.node_control.parameter_records import LARGEST_CHANGE, MOST_SET, ParameterNode, ParametersAnswer
 from rsb_extras.nodes import SHOW_NODES
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from rsb_bridge.feature_api import Context, Link
-    from rsb_extras.node_control.change_records import LifecycleAction
+    from rsb_extras.node_control.change_records import ChangeAction
+    from rsb_extras.node_control.parameter_records import AskParameters, NewValue
 
 STARTS, STARTS_WITHIN = 12, 60.0
 """The most changes by the other sides together in so many s, and as many by this side's operators. A round figure."""
@@ -54,6 +57,10 @@ class ChangeCode(StrEnum):
 class ChangeProblem(Wording):
     """The reason why a change is refused or not done."""
 
+    NO_VALUES = (
+        "a change sets 1 to {most} parameters of one node, each once, with values of their types, {size} bytes at most"
+    )
+    NOT_SHOWN = "{owner} does not show its nodes to {peer}: show_nodes is false {place}"
     NO_GROUP = "the session of {owner} lists no group {name}: see rsb-console lifecycle"
     NOT_ALLOWED = "{owner} does not let {peer} change {node}: add may: {{nodes: [{name}]}} {where}"
     BUSY = "{node} is being changed already: wait until that is over"
@@ -86,7 +93,7 @@ class _Doing:
     """
 
     target: str
-    action: LifecycleAction
+    action: ChangeAction
     nodes: tuple[str, ...]
     asker: ChangeAsker
     began: float
@@ -155,25 +162,44 @@ class NodeChanger:
     def _progress(self, doing: _Doing) -> ChangeOutcome:
         return ChangeOutcome(is_over=False, seconds=self._context.now() - doing.began, steps=tuple(doing.steps))
 
+    async def parameters(self, ask: AskParameters, asker: ChangeAsker) -> ParametersAnswer:
+        """Return a page of a node's parameters, or the nodes that have some, as far as one may see them."""
+        shows = asker.link is None or SHOW_NODES.of(asker.link.end.rights)
+        if not ask.node:
+            names = await nodes_with_parameters(self._context)
+            nodes = (ParameterNode(each, self._may(asker, each)) for each in names)
+            return ParametersAnswer(ask.request, nodes=tuple(each for each in nodes if shows or each.allowed))
+        if asker.link is not None and not shows and not self._may(asker, ask.node):
+            rights = asker.link.end.rights
+            problem = ChangeProblem.NOT_SHOWN(owner=rights.owner, peer=rights.peer, place=rights.place)
+            return ParametersAnswer(ask.request, problem=sanitize_text(problem))
+        return await page_of(self.services, ask)
+
     # --- changes
 
-    async def run(self, target: str, action: LifecycleAction, asker: ChangeAsker) -> ChangeOutcome:
+    async def run(
+        self, target: str, action: ChangeAction, asker: ChangeAsker, values: Sequence[NewValue] = ()
+    ) -> ChangeOutcome:
         """Carry out a change, or refuse it. It goes on if nobody waits for it any more.
 
         An operator of this side does not wait for a peer's change, but ends it.
         """
         nodes = self._nodes(target)
+        what = f"set {named(values)}" if action == "set" else action
+        if action == "set" and ("/" not in target or not is_settable(values)):
+            problem = ChangeProblem.NO_VALUES(most=MOST_SET, size=LARGEST_CHANGE)
+            return ChangeOutcome(refused=True, reason=problem)
         while not (refusal := self._refusal(target, nodes, asker)) and (others := self._overlapping(nodes)):
             for each in others:
                 each.work.cancel()
             await asyncio.wait([each.outcome for each in others if each.outcome is not None])
         if refusal:
-            self._log(Level.WARNING, ChangeCode.REFUSED, f"{target}: {action} refused: {refusal}", asker)
+            self._log(Level.WARNING, ChangeCode.REFUSED, f"{target}: {what} refused: {refusal}", asker)
             return ChangeOutcome(refused=True, reason=sanitize_text(refusal))
         self._starts[asker.link is None].append(self._context.now())
-        self._log(Level.INFO, ChangeCode.BEGAN, f"{target}: {action}", asker)
+        self._log(Level.INFO, ChangeCode.BEGAN, f"{target}: {what}", asker)
         steps: list[ChangeStep] = []
-        work = self._context.loop.create_task(self._work(nodes, action, steps))
+        work = self._context.loop.create_task(self._work(nodes, action, steps, values))
         doing = _Doing(target, action, nodes, asker, self._context.now(), work, steps)
         self._doing.append(doing)
         doing.outcome = self._context.loop.create_task(self._carry_out(doing))
@@ -223,8 +249,13 @@ class NodeChanger:
         names = {"owner": rights.owner, "peer": rights.peer, "node": lacking, "name": target, "where": where}
         return ChangeProblem.NOT_ALLOWED(**names)
 
-    async def _work(self, nodes: Sequence[str], action: LifecycleAction, steps: list[ChangeStep]) -> str:
-        """Have nodes take the transitions of an action, up to the first that is not done, and return why it is not."""
+    async def _work(
+        self, nodes: Sequence[str], action: ChangeAction, steps: list[ChangeStep], values: Sequence[NewValue]
+    ) -> str:
+        """Have nodes take the steps of an action, up to the first that is not done, and return why it is not."""
+        if action == "set":
+            steps.append(await set_parameters(self._context, self.services, nodes[0], values))
+            return steps[0].reason
         for transition, in_order in phases(action, nodes):
             for node in in_order:
                 step = await transit(self._context, self.services, node, transition)

@@ -1,4 +1,4 @@
-"""Completes names of managed nodes and of groups."""
+"""Completes names of managed nodes, of groups, and of nodes with parameters and these."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from rsb_console.command.completion import asked_of_bridge
 from rsb_console.feature_console import result
 from rsb_extras.node_control.change_requests import ListManaged
+from rsb_extras.node_control.parameter_requests import ListParameterNodes, ReadParameters
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -20,5 +21,27 @@ def target_names(parsed_args: Namespace, **_: object) -> list[str]:
     def names(engine: RemoteEngine) -> list[str]:
         sides = [side.managed for side in result(engine.do(ListManaged()))]
         return [each.name for side in sides for each in side.targets]
+
+    return asked_of_bridge(parsed_args, names)
+
+
+def nodes_with_parameters(parsed_args: Namespace, **_: object) -> list[str]:
+    """Return the nodes with parameters of both sides of a bridge."""
+
+    def names(engine: RemoteEngine) -> list[str]:
+        return [each.name for side in result(engine.do(ListParameterNodes())) for each in side.nodes]
+
+    return asked_of_bridge(parsed_args, names)
+
+
+def parameter_names(parsed_args: Namespace, **_: object) -> list[str]:
+    """Return the parameters of the node that is named."""
+    node, link, here = parsed_args.node, getattr(parsed_args, "link", ""), getattr(parsed_args, "here", False)
+
+    def names(engine: RemoteEngine) -> list[str]:
+        sides = result(engine.do(ListParameterNodes(link)))
+        having = [side.link for side in sides if node in {each.name for each in side.nodes}]
+        chosen = [each for each in having if not (here and each)]
+        return [each.name for each in result(engine.do(ReadParameters(node, link=chosen[0])))] if chosen else []
 
     return asked_of_bridge(parsed_args, names)

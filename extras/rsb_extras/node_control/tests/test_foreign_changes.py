@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,8 +30,19 @@ from rsb_extras.node_control.change_records import (
 from rsb_extras.node_control.change_requests import ChangeNodes, ListManaged
 from rsb_extras.node_control.link_changes import AskManaged, ChangeEnded, ManagedAnswer, RunChange
 from rsb_extras.node_control.node_changer import STARTS, ChangeCode
+from rsb_extras.node_control.parameter_nodes import read_pages
+from rsb_extras.node_control.parameter_records import (
+    MOST_PARAMETERS,
+    AskParameters,
+    NewValue,
+    NodeParameter,
+    ParameterNode,
+    ParametersAnswer,
+    ParameterValue,
+)
 from rsb_extras.node_control.tests.control_places import MANAGED_NAMES, STARTS_WITHIN, TICKET_LIFE
 from rsb_extras.node_control.tests.managed_nodes import ManagedNodes, has
+from rsb_extras.node_control.tests.tuned_node import TunedNode
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -67,7 +79,7 @@ def test_the_page_documents_each_field() -> None:
     page = Path(node_control.__file__).with_name("docs") / "node-control-protocol.md"
     kinds = (
         AskManaged, ManagedAnswer, RunChange, ChangeEnded, Managed, ManagedNode, ListedGroup, NodeChange, ChangeOutcome,
-        ChangeStep,
+        ChangeStep, AskParameters, ParametersAnswer, ParameterNode, NodeParameter, ParameterValue, NewValue,
     )  # fmt: skip
     assert documented_fields(page.read_text(encoding="utf-8")) == {
         each.__name__: {field.name for field in msgspec.structs.fields(each)} for each in kinds
@@ -89,6 +101,9 @@ def test_what_it_may_not_change_is_refused(bridge: Bridge, nodes: ManagedNodes) 
         {"target": ""}, {"target": "nav; reboot"}, {"target": "nav\0"}, {"target": "nav\n"}, {"target": "/" * 256},
         {"target": ["nav"]}, {"action": "destroy"}, {"action": ""}, {"action": 3}, {"who": "\x1b[2J"},
         {"who": "x" * 256}, {"ticket": -1}, {"ticket": 2**60}, {"ticket": "1"}, {"again": 1},
+        {"values": [{"name": "a", "value": {"type": "table"}}]}, {"values": [{"name": "", "value": {}}]},
+        {"values": [{"name": "a\x1b", "value": {}}]}, {"values": [{"name": "a", "value": {}}] * 201},
+        {"values": [{"name": "a", "value": {"content": bytes(2**18 + 1)}}]}, {"values": [{"name": "a"}]},
     ],
 )  # fmt: skip
 def test_requests_out_of_bounds_end_the_link(bridge: Bridge, broken: dict[str, Any]) -> None:
@@ -211,3 +226,60 @@ def test_a_ticket_that_a_peer_gives_twice_stands_for_one_change(bridge: Bridge) 
             second.result(60)
         peer.say(ChangeEnded(7, ChangeOutcome()))
         assert first.result(60).done
+
+
+@pytest.mark.parametrize(
+    "broken",
+    [
+        {"node": "a b"}, {"node": "/a\x1b"}, {"names": [""]}, {"names": ["a"] * 101}, {"names": ["a\n"]},
+        {"after": "x" * 256}, {"whole": 1}, {"request": -1},
+    ],
+)  # fmt: skip
+def test_questions_out_of_bounds_end_the_link(bridge: Bridge, broken: dict[str, Any]) -> None:
+    server = start(bridge)
+    with rogue(bridge) as peer:
+        eventually(lambda: server.snapshot().links[0].state is State.OK, what="a link")
+        peer.say_raw(msgspec.msgpack.encode(msgspec.to_builtins(AskParameters(1, "/planner")) | broken))
+        eventually(lambda: server.snapshot().links[0].state is not State.OK, what="the end of the link")
+        assert happened(server, EventCode.LINK_LOST, Broken.INVALID_CONTROL_MESSAGE)
+
+
+def test_parameters_of_other_nodes_are_not_set(bridge: Bridge, pc: Domain) -> None:
+    start(bridge)
+    with closing(TunedNode(pc.id)) as node, rogue(bridge) as peer:
+        eventually(lambda: "/controller" in {each.name for each in listed(peer).nodes}, what="the node")
+        values = (NewValue("frame", ParameterValue.of("string", "odom")),)
+        for target in ("/controller", "nav", "all"):
+            peer.say(RunChange(ticket(peer), target, "set", "anna", values=values))
+            assert peer.wait_for(ChangeEnded).outcome.refused, target
+        assert node["frame"] == "map"
+
+
+def listed(peer: Rogue) -> ParametersAnswer:
+    peer.say(AskParameters(1))
+    return peer.wait_for(ParametersAnswer)
+
+
+def test_pages_that_nobody_waits_for_do_nothing(bridge: Bridge) -> None:
+    server = start(bridge)
+    with rogue(bridge) as peer:
+        ticket(peer)
+        peer.say(ParametersAnswer(99, (NodeParameter("a"),)), ParametersAnswer(0, more=True))
+        assert ticket(peer, 2)
+        assert server.snapshot().links[0].state is State.OK
+
+
+def test_a_peer_that_repeats_its_pages_is_not_asked_for_ever() -> None:
+    asked: list[str] = []
+
+    async def repeat(ask: AskParameters) -> ParametersAnswer:
+        asked.append(ask.after)
+        return ParametersAnswer(ask.request, (NodeParameter("b"), NodeParameter("a")), more=True)
+
+    async def go_on(ask: AskParameters) -> ParametersAnswer:
+        number = int(ask.after or 0) + 1
+        return ParametersAnswer(ask.request, (NodeParameter(f"{number:09}"),), more=True)
+
+    found = asyncio.run(read_pages(repeat, "/x", (), whole=False))
+    assert ([each.name for each in found], asked) == (["a", "b"], ["", "b"])
+    assert len(asyncio.run(read_pages(go_on, "/x", (), whole=False))) == MOST_PARAMETERS

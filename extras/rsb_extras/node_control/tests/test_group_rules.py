@@ -84,5 +84,5 @@ def test_check_says_who_may_change_what() -> None:
     assert not problems
     assert list(FEATURE.effects(session)) == [
         "group nav: up configures and activates /a, /b, one after the other; down goes back in reverse",
-        "the server may change the states of: nav",
+        "the server may change states and parameters of: nav",
     ]

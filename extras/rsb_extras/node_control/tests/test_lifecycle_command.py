@@ -26,7 +26,7 @@ Run = Callable[..., "Ran"]
 
 def told(machine: Machine) -> list[Any]:
     """Return the changes that an engine was told to carry out."""
-    return [command for engine in machine.engines for command in engine.commands if command[0] == "change nodes"]
+    return [command[:4] for engine in machine.engines for command in engine.commands if command[0] == "change nodes"]
 
 
 def test_nodes_and_groups_of_both_sides_are_listed(machine: Machine, ran: Run) -> None:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def told(app: ConsoleApp) -> list[tuple[object, ...]]:
-    return [command for command in engine_of(app).commands if command[0] == "change nodes"]
+    return [command[:4] for command in engine_of(app).commands if command[0] == "change nodes"]
 
 
 async def opened(pilot: Pilot[None], *down: str) -> None:

@@ -1,0 +1,72 @@
+"""The arguments of the command ``params``, and the keys of its screen."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rsb_console.feature_console import NO_BRIDGE, bridge_options, inherit_bridge_options, subcommand
+
+if TYPE_CHECKING:
+    from argparse import ArgumentParser
+
+    from rsb_console.feature_console import AddCommand, Complete
+
+_MORE = f"""\
+The node may be of either side, and nothing has to be bridged for it: the bridge of
+its side asks it. What this side may change there, the session file of the node's
+machine says (may). A change asks first, and shows the old value and the new one.
+For a node that is bridged for programs, too, there is rsb-console param.
+
+for example:
+  rsb-console params list /controller_server
+  rsb-console params set /controller_server FollowPath.max_vel_x 0.4
+  rsb-console params dump /controller_server --output controller.yaml
+  rsb-console params diff /controller_server controller.yaml
+
+exit codes:
+  0  done; for diff, nothing differs
+  1  the node or the bridge refused or did not answer; for diff, something differs
+{NO_BRIDGE}"""
+_COMMANDS = {
+    "list": "list the nodes with parameters, or a node's parameters with what may be set",
+    "get": "print values, which may be long",
+    "set": "set one parameter or several, all or none",
+    "dump": "print all parameters as YAML, as ros2 param dump does",
+    "diff": "show what a file would change",
+    "load": "set what differs in a file, all or nothing",
+}
+
+
+def add_params(add: AddCommand, complete: Complete) -> None:
+    summary = "list, set, save and load the parameters of either side's nodes"
+    parent = add("params", subcommand("rsb_extras.node_control.params_command:list_all"), summary, _MORE)
+    bridge_options(parent, complete)
+    commands = parent.add_subparsers(metavar="COMMAND", required=True)
+    for name, about in _COMMANDS.items():
+        parser = commands.add_parser(name, help=about, description=f"{about[0].upper()}{about[1:]}.")
+        parser.set_defaults(command=subcommand(f"rsb_extras.node_control.params_command:{name}_all"), in_fleet=True)
+        bridge_options(parser, complete)
+        inherit_bridge_options(parser)
+        node = parser.add_argument("node", metavar="NODE", nargs="?" if name == "list" else None, help="its full name")
+        complete(node, "rsb_extras.node_control.target_names:nodes_with_parameters")
+        _add_words(parser, complete, name)
+        which = "the client, if several have the node"
+        complete(parser.add_argument("--link", default="", metavar="CLIENT", help=which), "links")
+        parser.add_argument("--here", action="store_true", help="the bridge's own side, if both have such a node")
+        if name in ("set", "load"):
+            parser.add_argument("--yes", action="store_true", help="do not ask")
+
+
+def _add_words(parser: ArgumentParser, complete: Complete, name: str) -> None:
+    completer = "rsb_extras.node_control.target_names:parameter_names"
+    if name == "get":
+        complete(parser.add_argument("names", nargs="+", metavar="NAME", help="the parameters"), completer)
+    elif name == "set":
+        about = "a parameter and its value in YAML, as 0.5, true, text or [1, 2]; then further ones"
+        complete(parser.add_argument("pairs", nargs="+", metavar="NAME VALUE", help=about), completer)
+    elif name == "dump":
+        parser.add_argument("--output", type=Path, metavar="FILE", help="the file to write")
+    elif name in ("diff", "load"):
+        about = "as ros2 param dump writes it, with /** or the node's name"
+        complete(parser.add_argument("file", type=Path, metavar="FILE", help=about), "yaml_files")

@@ -1,0 +1,270 @@
+"""The command ``params``: reads and sets parameters of nodes, and compares them with files."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from msgspec.structs import asdict
+
+from rsb_bridge.feature_api import EngineError, Wording, one_line, replace_file, typed_path, why_not_written
+from rsb_console.feature_console import (
+    FAILURE,
+    OK,
+    UsageError,
+    agreed,
+    attached,
+    done,
+    failed,
+    json_line,
+    json_value,
+    parameter_value,
+    parameters_text,
+    print_error,
+    print_line,
+    print_lines,
+    read_parameter_file,
+    result,
+)
+from rsb_extras.node_control.change_records import ChangeText
+from rsb_extras.node_control.change_requests import ANSWERED_WITHIN, ChangeNodes
+from rsb_extras.node_control.lifecycle_rows import LifecycleText, side_of
+from rsb_extras.node_control.parameter_requests import ListParameterNodes, ReadParameters
+from rsb_extras.node_control.parameter_rules import (
+    ParameterText,
+    about,
+    change_of,
+    compare,
+    plain_value,
+    value_text,
+)
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+    from rsb_bridge.feature_api import RemoteEngine
+    from rsb_extras.node_control.parameter_records import NodeParameter
+    from rsb_extras.node_control.parameter_requests import ParameterSide
+    from rsb_extras.node_control.parameter_rules import Comparison, ParameterChange
+
+_READ_WITHIN = 120.0  # s for all pages of a node over a thin line. A round figure
+
+
+class ParamsText(Wording):
+    """Texts of the command."""
+
+    NONE = "neither side has nodes with parameters"
+    UNKNOWN = "no side that shows its nodes has {node} with parameters{problems}; there are: {known}"
+    SEVERAL = "{count} sides have {node}; choose one: {options}"
+    MISSING = "{node} has no parameter {names}"
+    PAIRS = "params set: {name} has no value: give names and values in turn"
+    WRONG = "{name} of {node} cannot be set: {reason}"
+    TOO_LARGE = "{node}: {names} cannot be read: larger than a link carries"
+    ASK = "Set {count} of {node} of {side}?"
+    NOTHING = "{node} of {side}: nothing to set"
+    SAME = "{node} of {side}: all {count} values of the file are the node's"
+    NOT_WRITTEN = "{path}: {problem}"
+    WRITTEN = "{path}: {count} parameters of {node}"
+
+
+def list_all(arguments: Namespace) -> int:
+    with attached(arguments) as engine:
+        role = engine.bridge.role
+        if arguments.node is None:
+            return _list_nodes(arguments, role, result(engine.do(ListParameterNodes(arguments.link))))
+        link, found = _read(engine, arguments)
+    rows = [(each.name, value_text(each), each.value.type, about(each)) for each in found]
+    return done(
+        arguments, *_table(("NAME", "VALUE", "TYPE", "ABOUT"), rows), node=arguments.node, link=link,
+        parameters=[_plain(each) for each in found],
+    )  # fmt: skip
+
+
+def _list_nodes(arguments: Namespace, role: str, sides: Sequence[ParameterSide]) -> int:
+    shown = [side for side in sides if not (arguments.here and side.link)]
+    problems = {side.link: side.problem for side in shown if side.problem}
+    if arguments.link and problems:
+        raise EngineError(problems[arguments.link])
+    rows = [
+        (each.name, side_of(role, side.link), "" if each.allowed else LifecycleText.MAY_NOT())
+        for side in shown
+        for each in side.nodes
+    ]
+    nodes = [{"link": side.link} | asdict(each) for side in shown for each in side.nodes]
+    lines = list(_table(("NAME", "SIDE", ""), rows)) if rows else [ParamsText.NONE()]
+    if not arguments.json:
+        for link, problem in problems.items():
+            print_error(LifecycleText.PROBLEM(side=side_of(role, link), problem=problem))
+    return done(arguments, *lines, nodes=nodes, problems=problems)
+
+
+def _table(headings: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> Iterator[str]:
+    table = [headings, *(tuple(map(one_line, row)) for row in rows)]
+    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+    for cells in table:
+        yield "  ".join(f"{cell:<{width}}" for cell, width in zip(cells, widths, strict=True)).rstrip()
+
+
+def _plain(parameter: NodeParameter) -> dict[str, Any]:
+    """Return a parameter for programs."""
+    found = asdict(parameter) | {"type": parameter.value.type, "value": json_value(plain_value(parameter))}
+    bounds = [asdict(each) for each in found.pop("ranges")]
+    return found | {"range": bounds[0] if bounds else None}
+
+
+def _read(engine: RemoteEngine, arguments: Namespace, *names: str, whole: bool = False) -> tuple[str, Any]:
+    """Return the link to the node's side, or an empty string for this one, and parameters of the node."""
+    link = arguments.link if arguments.link or arguments.here else _chosen(engine, arguments.node)
+    answer = engine.do(ReadParameters(arguments.node, names, whole, link))
+    found: tuple[NodeParameter, ...] = answer.result(_READ_WITHIN)
+    missing = {*names} - {each.name for each in found}
+    if missing:
+        raise EngineError(ParamsText.MISSING(node=arguments.node, names=", ".join(sorted(missing))))
+    return link, found
+
+
+def _chosen(engine: RemoteEngine, node: str) -> str:
+    sides = result(engine.do(ListParameterNodes()))
+    found = [side.link for side in sides if node in {each.name for each in side.nodes}]
+    if len(found) > 1:
+        options = "; ".join(f"--link {link}" if link else "--here" for link in found)
+        raise UsageError(ParamsText.SEVERAL(count=len(found), node=node, options=options))
+    if not found:
+        known = ", ".join(sorted({each.name for side in sides for each in side.nodes})) or "none"
+        problems = "".join(f" ({side.link}: {side.problem})" for side in sides if side.problem)
+        raise UsageError(ParamsText.UNKNOWN(node=node, problems=problems, known=known))
+    return found[0]
+
+
+def get_all(arguments: Namespace) -> int:
+    with attached(arguments) as engine:
+        link, found = _read(engine, arguments, *arguments.names, whole=True)
+    if arguments.json:
+        return done(arguments, node=arguments.node, link=link, parameters=[_plain(each) for each in found])
+    text = parameters_text(arguments.node, {each.name: plain_value(each) for each in found if not each.size})
+    print_lines(text.removesuffix("\n"))
+    return OK if _is_whole(arguments, found) else FAILURE
+
+
+def _is_whole(arguments: Namespace, found: Iterable[NodeParameter]) -> bool:
+    """Whether all values are read; report the others."""
+    large = [each.name for each in found if each.size]
+    if large:
+        print_error(ParamsText.TOO_LARGE(node=arguments.node, names=", ".join(large)))
+    return not large
+
+
+def dump_all(arguments: Namespace) -> int:
+    with attached(arguments) as engine:
+        link, found = _read(engine, arguments, whole=True)
+    values = {each.name: plain for each in found if (plain := plain_value(each)) is not None}
+    text = parameters_text(arguments.node, values)
+    if arguments.output is None and not arguments.json:
+        print_lines(text.removesuffix("\n"))
+        return OK if _is_whole(arguments, found) else FAILURE
+    if arguments.output is not None:
+        path = typed_path(str(arguments.output))
+        try:
+            replace_file(path, text.encode(), mode=0o644)
+        except OSError as error:
+            problem = ParamsText.NOT_WRITTEN(path=path, problem=why_not_written(error, path))
+            return failed(arguments, problem, FAILURE)
+    written = ParamsText.WRITTEN(path=arguments.output, count=len(values), node=arguments.node)
+    done(arguments, written, node=arguments.node, link=link, parameters=json_value(values))
+    return OK if _is_whole(arguments, found) else FAILURE
+
+
+def set_all(arguments: Namespace) -> int:
+    pairs = arguments.pairs
+    if len(pairs) % 2:
+        raise UsageError(ParamsText.PAIRS(name=pairs[-1]))
+    texts = dict(zip(pairs[::2], pairs[1::2], strict=True))
+    with attached(arguments) as engine:
+        link, found = _read(engine, arguments, *texts)
+        changes: list[ParameterChange] = []
+        for each in found:
+            try:
+                if each.read_only:
+                    raise ValueError(ParameterText.READ_ONLY())
+                changes.append(change_of(each, partial(parameter_value, texts[each.name])))
+            except ValueError as error:
+                raise EngineError(ParamsText.WRONG(name=each.name, node=arguments.node, reason=error)) from None
+        return _set(engine, arguments, link, changes, {})
+
+
+def diff_all(arguments: Namespace) -> int:
+    with attached(arguments) as engine:
+        written = read_parameter_file(typed_path(str(arguments.file)), arguments.node)
+        link, found = _read(engine, arguments, whole=True)
+        side = side_of(engine.bridge.role, link)
+    compared = compare(found, written)
+    lines = [*map(str, compared.changes), *_left_out({**compared.left_out, **compared.wrong})]
+    same = ParamsText.SAME(node=arguments.node, side=side, count=compared.equal)
+    changed = [_changed(each) for each in compared.changes]
+    if arguments.json:
+        print_line(json_line(
+            {"ok": True, "node": arguments.node, "link": link, "differences": changed,
+             "left_out": {**compared.left_out, **compared.wrong}, "equal": compared.equal}
+        ))  # fmt: skip
+    else:
+        for line in lines or [same]:
+            print_line(line)
+    return FAILURE if lines else OK
+
+
+def _left_out(reasons: Mapping[str, str]) -> list[str]:
+    return [ParameterText.LEFT_OUT(name=name, reason=reason) for name, reason in reasons.items()]
+
+
+def _changed(change: ParameterChange) -> dict[str, Any]:
+    old, new = json_value(change.old), json_value(change.new)
+    return {"name": change.name, "type": change.type, "old": old, "new": new}
+
+
+def load_all(arguments: Namespace) -> int:
+    with attached(arguments) as engine:
+        written = read_parameter_file(typed_path(str(arguments.file)), arguments.node)
+        link, found = _read(engine, arguments, whole=True)
+        compared: Comparison = compare(found, written)
+        for name, reason in compared.wrong.items():
+            raise EngineError(ParamsText.WRONG(name=name, node=arguments.node, reason=reason))
+        if not arguments.json:
+            for line in _left_out(compared.left_out):
+                print_error(line)
+        return _set(engine, arguments, link, compared.changes, compared.left_out)
+
+
+def _set(
+    engine: RemoteEngine,
+    arguments: Namespace,
+    link: str,
+    changes: Sequence[ParameterChange],
+    left_out: Mapping[str, str],
+) -> int:
+    """Set what differs, after a question."""
+    node, side = arguments.node, side_of(engine.bridge.role, link)
+    facts = {
+        "node": node, "link": link, "changed": [_changed(each) for each in changes], "left_out": {**left_out},
+    }  # fmt: skip
+    if not changes:
+        return done(arguments, ParamsText.NOTHING(node=node, side=side), **facts)
+    if not arguments.json:
+        for each in changes:
+            print_line(f"  {each}")
+    question = ParamsText.ASK(count=len(changes), node=node, side=side)
+    if not (arguments.yes or agreed(question, ask=not arguments.json)):
+        return FAILURE
+    values = tuple(each.value for each in changes)
+    outcome = engine.do(ChangeNodes(node, "set", link, values)).result(ANSWERED_WITHIN)
+    if not outcome.done:
+        facts["changed"] = []
+        if arguments.json:
+            print_line(json_line({"ok": False, "error": outcome.reason, "refused": outcome.refused, **facts}))
+        else:
+            print_error(LifecycleText.ENDED(target=node, side=side, text=ChangeText.of("set", outcome)))
+        return FAILURE
+    return done(
+        arguments, LifecycleText.ENDED(target=node, side=side, text=ChangeText.of("set", outcome)),
+        seconds=outcome.seconds, **facts,
+    )  # fmt: skip
