@@ -137,7 +137,7 @@ def test_help_lists_every_action_with_keys(width: int) -> None:
         await pilot.press("escape")
         await gone(pilot, "Next line")
 
-    drive(app, steps, size=(width, 160))
+    drive(app, steps, size=(width, 200))
 
 
 def screens(app: ConsoleApp) -> dict[str, Callable[[], Screen[Any]]]:
