@@ -131,10 +131,10 @@ def value_of_node(node: yaml.Node, kind: str = "") -> tuple[str, Any]:
     return meant.name, plain
 
 
-def shown_value(plain: Any) -> str:
-    """Return a value as YAML on one line, cut if it is long."""
+def shown_value(plain: Any, most: int = _SHOWN) -> str:
+    """Return a value as YAML on one line, cut if it has more than `most` characters."""
     text = inline(plain)
-    return f"{text[:_SHOWN]}{'…' * (len(text) > _SHOWN)}"
+    return f"{text[:most]}{'…' * (len(text) > most)}"
 
 
 def _node(value: str) -> yaml.Node:

@@ -75,6 +75,7 @@ class NodeControl(Feature):
     def actions(self) -> Iterable[Action]:
         from rsb_console.feature_console import Action, Group, OnNode, late  # noqa: PLC0415
         from rsb_extras.node_control.lifecycle_arguments import CHAPTERS  # noqa: PLC0415
+        from rsb_extras.node_control.params_arguments import CHAPTERS as PARAMETER_CHAPTERS  # noqa: PLC0415
 
         screen = "rsb_extras.node_control.lifecycle_screen"
         return (
@@ -83,6 +84,14 @@ class NodeControl(Feature):
                 Group.OPERATE, also="configure activate deactivate cleanup shutdown bring up down nav2",
                 run=late(f"{screen}:show_lifecycle"), chapters=CHAPTERS,
                 on_node=OnNode("x", "x lifecycle", late(f"{screen}:lifecycle_of_node")),
+            ),
+            Action(
+                "parameters", "H", "parameters", "Show nodes, and the parameters of the one on which p is pressed",
+                Group.OPERATE, also="param rqt_reconfigure tune settings",
+                run=late("rsb_extras.nodes.nodes_screen:show_nodes"), chapters=PARAMETER_CHAPTERS, after="lifecycle",
+                on_node=OnNode(
+                    "p", "p parameters", late("rsb_extras.node_control.parameters_screen:parameters_of_node")
+                ),
             ),
         )  # fmt: skip
 

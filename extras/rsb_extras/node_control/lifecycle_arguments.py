@@ -27,7 +27,7 @@ exit codes:
   1  refused or failed; then the last step says why
 {NO_BRIDGE}"""
 CHAPTERS = (
-    KeyChapter("Of other features, on a node", "NodesScreen", (("x", "Show its lifecycle, and change it"),)),
+    KeyChapter("Of other features, on a node", "NodesScreen", (("x", "Show its lifecycle, and change it"), ("p", "Show its parameters, and set them"))),
     KeyChapter(
         "Lifecycle (X)", "LifecycleScreen",
         (

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rsb_console.feature_console import NO_BRIDGE, bridge_options, inherit_bridge_options, subcommand
+from rsb_console.feature_console import NO_BRIDGE, KeyChapter, bridge_options, inherit_bridge_options, subcommand
 
 if TYPE_CHECKING:
     from argparse import ArgumentParser
@@ -36,6 +36,17 @@ _COMMANDS = {
     "diff": "show what a file would change",
     "load": "set what differs in a file, all or nothing",
 }
+CHAPTERS = (
+    KeyChapter(
+        "Parameters (p on a node)", "ParametersScreen",
+        (
+            ("⏎", "Edit the parameter; its new value is asked for before it is set"),
+            ("/ c", "Filter by name, value, type and description; only those that have changed since"),
+            ("r", "Read all again"),
+            ("esc", "Drop the filters, then close"),
+        ),
+    ),
+)  # fmt: skip
 
 
 def add_params(add: AddCommand, complete: Complete) -> None:
