@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from rsb_bridge.link.internal_routes import InternalRoutes
     from rsb_bridge.link.link import Link, link_named
     from rsb_bridge.link.questions import AskingExtension, Questions
+    from rsb_bridge.model.budgets import TokenBucket
     from rsb_bridge.model.clock import Clock
     from rsb_bridge.model.codes import EventCode
     from rsb_bridge.model.commands import Command, Effect, Right, operator
@@ -78,6 +79,7 @@ _NAMES = {
     "rsb_bridge.link.internal_routes": ("InternalRoutes",),
     "rsb_bridge.link.link": ("Link", "link_named"),
     "rsb_bridge.link.questions": ("AskingExtension", "Questions"),
+    "rsb_bridge.model.budgets": ("TokenBucket",),
     "rsb_bridge.model.clock": ("Clock",),
     "rsb_bridge.model.codes": ("EventCode",),
     "rsb_bridge.model.commands": ("Command", "Effect", "Right", "operator"),

@@ -49,9 +49,10 @@ if TYPE_CHECKING:
     from rsb_console.session.parameter_values import parameter_value, shown_value
     from rsb_console.terminal.input_queue import DIALOG, GuardedScreen
     from rsb_console.terminal_app import TerminalApp
+    from rsb_console.widgets.cell_table import CellTable
     from rsb_console.widgets.filter import Prompt, RowFilter
     from rsb_console.widgets.form import Field, FormScreen, Spec
-    from rsb_console.widgets.lines import FixedLines, Line, ScrolledLines, clip, fit
+    from rsb_console.widgets.lines import FixedLines, Line, ScrolledLines, clip, fit, wrapped
     from rsb_console.widgets.picker import Suggestion
     from rsb_console.widgets.selectable_list import SelectableList
 
@@ -107,9 +108,10 @@ _NAMES = {
     "rsb_console.session.parameter_values": ("parameter_value", "shown_value"),
     "rsb_console.terminal.input_queue": ("DIALOG", "GuardedScreen"),
     "rsb_console.terminal_app": ("TerminalApp",),
+    "rsb_console.widgets.cell_table": ("CellTable",),
     "rsb_console.widgets.filter": ("Prompt", "RowFilter"),
     "rsb_console.widgets.form": ("Field", "FormScreen", "Spec"),
-    "rsb_console.widgets.lines": ("FixedLines", "Line", "ScrolledLines", "clip", "fit"),
+    "rsb_console.widgets.lines": ("FixedLines", "Line", "ScrolledLines", "clip", "fit", "wrapped"),
     "rsb_console.widgets.picker": ("Suggestion",),
     "rsb_console.widgets.selectable_list": ("SelectableList",),
 }

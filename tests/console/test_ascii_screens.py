@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from rich.cells import cell_len
-from tests.console.driving import NARROW, WIDE, drive, ended, put, scripted_app, shown, text
+from tests.console.driving import NARROW, WIDE, drive, ended, on_main, put, scripted_app, shown, text
 from textual.keys import _character_to_key
 
 import rsb_bridge
@@ -90,6 +90,21 @@ def test_operators_names_stay_readable(name: str, plain: str) -> None:
         await shown(pilot, plain)
 
     drive(app, steps)
+
+
+@on_main(NARROW, ascii_only=True)
+async def test_keys_are_named_by_words(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("c")
+    await shown(pilot, "enter detail")
+    await pilot.press("escape", "d")
+    await shown(pilot, "arrows enter choose")
+
+
+@on_main((62, 24))
+async def test_a_key_and_its_meaning_stay_on_one_line(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("c")
+    await shown(pilot, "⏎ detail   a add a client   d remove it   r try again now")
+    await shown(pilot, "i acknowledge   esc close")
 
 
 def test_log_text_of_any_script_is_replaced_by_question_marks() -> None:

@@ -54,11 +54,21 @@ class CommandLog:
     def __init__(self, events: EventLog) -> None:
         self._events = events
 
-    def add(self, code: StrEnum, what: str, *, topic: str = "", link: str = "", old: str = "", new: str = "") -> None:
+    def add(
+        self,
+        code: StrEnum,
+        what: str,
+        *,
+        level: Level = Level.INFO,
+        topic: str = "",
+        link: str = "",
+        old: str = "",
+        new: str = "",
+    ) -> None:
         """Record a command; `topic` is its name on this side."""
         who = operator()
         text = f"{f'{topic}: ' if topic else ''}{what} by {who}{undo_mark()}"
-        self._events.add(Level.INFO, code, text, link=link, topic=topic, who=who, old=old, new=new)
+        self._events.add(level, code, text, link=link, topic=topic, who=who, old=old, new=new)
 
 
 def undo_mark() -> str:

@@ -443,5 +443,6 @@ class PeekedMessage:
     """Whether it is a latched topic's earlier message, as a late joiner gets it; `time` is then that of the request."""
     latency: float | None = None
     """s that it took over the link, by the clock offset, or None if it is unknown or this side sends it."""
-    clock_offset: float | None = None  # s, the peer's clock minus this machine's, or None if it is unknown
+    clock_offset: float | None = None
+    """s, the peer's clock minus this machine's, 0 if the bridge has shifted the stamps by it, or None if unknown."""
     clock_uncertainty: float | None = None

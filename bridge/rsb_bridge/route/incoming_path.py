@@ -254,8 +254,10 @@ class IncomingPath:
         if slot.tap is not None:
             slot.tap(content, now, now - int((latency or 0.0) * 1e9), b"", 0)
         if slot.is_awaited:
-            clock = (self.route.peer.clock.offset, self.route.peer.clock.uncertainty)
-            slot.put(peeked(self.flow, content, now, latency=latency, clock=clock), self.route.context.now())
+            clock = self.route.peer.clock
+            offset = 0.0 if any(each.corrects_stamps for each in self.transforms) else clock.offset
+            shown = peeked(self.flow, content, now, latency=latency, clock=(offset, clock.uncertainty))
+            slot.put(shown, self.route.context.now())
 
     def refuse(self, why: Refused, messages: int = 1) -> None:
         """Count messages that arrived, and that a gate keeps back."""

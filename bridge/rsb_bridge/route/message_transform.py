@@ -31,10 +31,12 @@ class MessageTransform:
         feature: the name of its feature, which the extensions of a link set.
         verdict: a verdict on the topic, as `Extension.verdict` returns one, or None. After a change, call
             `route.judge_again()`.
+        corrects_stamps: whether it leaves stamps on this machine's clock.
     """
 
     feature = ""
     verdict: Verdict | None = None
+    corrects_stamps = False
 
     def change(self, content: bytes) -> bytes:
         """Return what is to be published for a message with its encapsulation header.

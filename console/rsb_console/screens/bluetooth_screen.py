@@ -13,6 +13,7 @@ from textual.screen import ModalScreen
 from rsb_bridge.bluetooth.hci import ANY_ADAPTER, Adapter
 from rsb_bridge.bluetooth.scan import ChannelUse, Scan, held_channels, scan
 from rsb_console.widgets.form import Notice
+from rsb_console.widgets.key_hints import KeyHints
 from rsb_console.widgets.lines import FixedLines, Line, fit
 from rsb_console.widgets.selectable_list import SelectableList
 
@@ -110,7 +111,7 @@ class BluetoothScreen(ModalScreen[str | None]):
         super().__init__()
         self.console = console
         self.machines, self.channels = Machines(), Channels()
-        self._problems, self._state, self._keys = Notice("problem"), Notice("hint"), Notice("hint keys")
+        self._problems, self._state, self._keys = Notice("problem"), Notice("hint"), KeyHints("")
 
     def compose(self) -> ComposeResult:
         with Vertical(classes="dialog -wide") as dialog:
@@ -136,7 +137,7 @@ class BluetoothScreen(ModalScreen[str | None]):
         self._state.set_text("No paired device: bluetoothctl pairs them." if is_unpaired else "")
         self._problems.set_text("\n".join(found.problems))
         pick = "⏎ use as the server of a new session   " if found.adapters and not self.console.readonly else ""
-        self._keys.set_text(f"{pick}s scan again   esc close")
+        self._keys.say(f"{pick}s scan again   esc close")
         self.machines.show(found)
         self.channels.show(found)
 

@@ -6,12 +6,13 @@ from typing import TYPE_CHECKING, ClassVar, TypeVar
 
 from textual.binding import Binding
 from textual.containers import Horizontal, Vertical
-from textual.widgets import Button, Static
+from textual.widgets import Button
 
 from rsb_bridge.config.fields_text import read_fields
 from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.wording import Wording
 from rsb_console.widgets.form import FormScreen, Notice
+from rsb_console.widgets.key_hints import KeyHints
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -60,7 +61,7 @@ class ByHandScreen(FormScreen[T]):
             with Horizontal(classes="buttons -below-help"):
                 yield from self.compose_buttons()
             yield from self.compose_result()
-            yield Static(self._keys, classes="hint keys", markup=False)
+            yield KeyHints(self._keys)
 
     def compose_buttons(self) -> ComposeResult:
         yield Button(self._yes, id="yes", variant="primary", compact=True)

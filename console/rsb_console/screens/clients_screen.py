@@ -29,6 +29,7 @@ from rsb_console.session.changes import CannotUndoError, Change, Undo
 from rsb_console.session.saving import is_changed
 from rsb_console.terminal.driver import copy
 from rsb_console.widgets.form import Field, FormScreen, Spec
+from rsb_console.widgets.key_hints import KeyHints
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -293,7 +294,7 @@ class HandoutScreen(ModalScreen[None]):
             with VerticalScroll(classes="handout"):
                 for changed in self._handed:
                     yield Static(self._about(changed), markup=False)
-            yield Static("y copy the session files   ↑ ↓ scroll   esc close", classes="hint keys")
+            yield KeyHints("y copy the session files   ↑ ↓ scroll   esc close")
 
     def _about(self, changed: ChangedFile) -> str:
         mark = "" if changed.key is None else f"key {changed.key_path}, fingerprint {fingerprint(changed.key)}\n"

@@ -19,6 +19,7 @@ from rsb_console.actions.all_actions import BY_ID
 from rsb_console.notation import formats
 from rsb_console.notation.glyphs import DONE, FAILED
 from rsb_console.terminal.input_queue import SEEN_AFTER, GuardedScreen, InputGate
+from rsb_console.widgets.key_hints import GAP, KeyHints, spelled
 from rsb_console.widgets.lines import Line, LiveLines
 
 if TYPE_CHECKING:
@@ -51,7 +52,7 @@ _ASKED_LINES, _ASKED_CHARACTERS = 200, 4 << 10
 """Limits of the part of an operator's YAML that a question shows, as much as a person can read."""
 RUNNING = "◌"
 _NO_KEYS_YET = "…"
-_SCROLL_KEYS, _GAP = "↑ ↓ scroll", "   "
+_SCROLL_KEYS = "↑ ↓ scroll"
 _KEYS_AGAIN = "press a key, and then answer"
 _LOOK_EVERY = 0.1
 """s between two looks whether the keys of a question count: so much later, at most, it says that they do."""
@@ -76,7 +77,7 @@ class Dialog(Vertical):
     """A dialog's widgets, with a title on the frame, and the keys as its last line; `shape` is a CSS class."""
 
     def __init__(self, title: str, *widgets: Widget, keys: str, shape: str = "-wide") -> None:
-        super().__init__(*widgets, Static(keys, classes="hint keys", markup=False), classes=f"dialog {shape}")
+        super().__init__(*widgets, KeyHints(keys), classes=f"dialog {shape}")
         self.border_title = title
 
 
@@ -153,9 +154,10 @@ class ConfirmScreen(ModalScreen[bool], GuardedScreen):
 
     def _show_keys(self) -> None:
         keys = [self.KEYS, *self.MORE_KEYS, *([_SCROLL_KEYS] if self._scrolled.max_scroll_y > 0 else [])]
-        while len(keys) > 1 and cell_len(_GAP.join(keys)) > self._keys.size.width:
+        keys = [spelled(each, ascii_only=self.app.ascii_only) for each in keys]  # type: ignore[attr-defined]
+        while len(keys) > 1 and cell_len(GAP.join(keys)) > self._keys.size.width:
             keys.pop(1)  # a second line would take one from the message
-        self._keys.update(self._instead_of_keys or _GAP.join(keys))
+        self._keys.update(self._instead_of_keys or GAP.join(keys))
 
     def action_scroll(self, to: str) -> None:
         """Show other lines of the message, in a direction of Textual's ``scroll_...`` methods."""

@@ -13,6 +13,7 @@ from textual.screen import ModalScreen
 
 from rsb_console.actions.action import NAMESPACE, Group
 from rsb_console.actions.all_actions import KEYS_ON_SCREENS
+from rsb_console.widgets.key_hints import spelled
 from rsb_console.widgets.lines import ScrolledLines
 
 if TYPE_CHECKING:
@@ -93,7 +94,8 @@ class HelpScreen(ModalScreen[None]):
     def _chapters(self, chapters: Sequence[KeyChapter], room: int) -> Iterator[Line]:
         for chapter in chapters:
             yield ((chapter.title, "head"),)
-            for keys, meaning in chapter.keys:
+            for pair in chapter.keys:
+                keys, meaning = (spelled(text, ascii_only=self.app.ascii_only) for text in pair)  # type: ignore[attr-defined]
                 first, *more = textwrap.wrap(meaning, room + ID_WIDTH - 2)
                 yield ((f"  {keys:<{KEYS_WIDTH - 2}}", "key"), (first, ""))
                 yield from (((" " * KEYS_WIDTH + text, ""),) for text in more)

@@ -35,7 +35,7 @@ MORE = {
 class FileText(Wording):
     """Advice on files that an operator may name."""
 
-    EXISTS = "the file exists: ⏎ picks it"
+    EXISTS = "the file exists: enter picks it"
     MISSING = "missing: name the file"
 
 
@@ -87,7 +87,7 @@ class SessionsScreen(FormScreen[OpenedFile | str]):
         spec = Spec(
             "path",
             "Session",
-            "↑ ↓ and ⏎ to open one of these, or type a path.",
+            "Arrows and enter to open one of these, or type a path.",
             path,
             blank="type to look for a file",
             edited=True,

@@ -62,7 +62,7 @@ def _specs(session: Session, ends: Ends, kind: Kind, route: Row | None) -> Itera
 def _which(ends: Ends, kind: Kind, *, new: bool) -> Iterator[Spec]:
     name = f"{'The name of the node' if kind == 'parameters' else 'Its name'} on the client."
     if new:
-        name += " Type to search, ↑ ↓ and ⏎ to pick; or type a name (/scan) or a pattern (/camera/**)."
+        name += " Type to search, arrows and enter to pick; or type a name (/scan) or a pattern (/camera/**)."
     yield Spec("topic", _LABELS[kind], name, blank="type to look for what either side has")
     if new:
         about = "The kind of the name. An entry picked from the list sets it."

@@ -41,7 +41,7 @@ class Menu(SelectableList):
         self._lines: dict[str, Line] = {}
         for bridge in running:
             about = f"runs: {bridge.info.role}, {bridge.info.address}" if bridge.info else bridge.problem
-            message = f"{about}, pid {bridge.pid}; ⏎ attaches"
+            message = f"{about}, pid {bridge.pid}; enter attaches"
             self._lines[str(bridge.path)] = (("●  ", "ok"), (f"{bridge.name:<17}", "strong"), (message, "dim"))
         for choice in choices:
             each = CHOICES[choice]

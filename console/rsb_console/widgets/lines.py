@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 import time
 from typing import TYPE_CHECKING, ClassVar, Self
 
@@ -15,7 +16,7 @@ from textual.strip import Strip
 from rsb_bridge.model.snapshot import State
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from rich.style import Style
 
@@ -181,6 +182,12 @@ def fit(line: Line, width: int) -> Line:
     return (*kept, ("…", kept[-1][1]))
 
 
+def wrapped(text: str, width: int, look: str = "") -> Iterator[Line]:
+    """Yield the lines of a text that is broken at `width` cells, all but the first indented."""
+    for line in textwrap.wrap(text, max(20, width), subsequent_indent="  ") or [""]:
+        yield ((line, look),)
+
+
 def fit_middle(text: str, width: int) -> str:
     """Cut `text` to `width` cells in its middle: names that begin alike often differ at their ends."""
     if cell_len(text) <= width:
@@ -213,8 +220,9 @@ class FixedLines(LiveLines, can_focus=False):
         return fit(self._lines[index], self.width)
 
     def put(self, lines: Sequence[Line]) -> None:
-        """Show other lines, in a pane that is as high as they are many."""
+        """Show other lines, in a pane that is as high as they are many; without any, its margin goes, too."""
         self._lines = lines
+        self.display = bool(lines)
         self.styles.height = len(lines)
         self.sync()
 

@@ -59,7 +59,7 @@ _WIDE, _BOX = 120, 44
 """Columns of a screen from which on the box stands at the side, and its own there."""
 _NAMED = 4
 """Robots in one line."""
-_ARROWS = "↑↓←→"
+_ARROWS = "arrows"
 _WAYS_SHOWN = f"{_ARROWS} uiojlm,."
 _WAYS_BOX = ("u i o     ↖ ↑ ↗", "j k l     ← ■ →", "m , .     ↙ ↓ ↘")
 """The letters as they lie on the keyboard, and the way of each; where there is room."""

@@ -122,6 +122,10 @@ class FrameTransform(MessageTransform):
 
     __hash__ = None  # type: ignore[assignment]
 
+    @property
+    def corrects_stamps(self) -> bool:  # type: ignore[override]  # it comes and goes with the measured clock
+        return self.restamps and self._stamps.shift is not None
+
     def judge(self) -> None:
         """Note why stamps stay as they are, if they do."""
         problem = self._stamps.problem if self.restamps else ""

@@ -6,7 +6,7 @@ import asyncio
 from functools import partial
 from typing import TYPE_CHECKING
 
-from rsb_bridge.feature_api import EnginePart, LinkError, link_named, one_line, operator, sanitize_text
+from rsb_bridge.feature_api import EnginePart, Level, LinkError, link_named, one_line, operator, sanitize_text
 from rsb_extras.node_control import GROUPS
 from rsb_extras.node_control.change_records import GROUP_NAME, NODE_NAME, ChangeText, Managed
 from rsb_extras.node_control.change_requests import ChangeNodes, ListManaged, ManagedSide
@@ -43,8 +43,7 @@ class ChangesPart(EnginePart):
             return (await self._own(),)
         if command.link:
             return (await self._of_link(link_named(command.link, self._bridge.links())),)
-        linked = [link for link in self._bridge.links() if link.linked]
-        sides = await asyncio.gather(self._own(), *map(self._of_link, linked))
+        sides = await asyncio.gather(self._own(), *map(self._of_link, self._bridge.links()))
         return tuple(side for side in sides if side.managed != Managed() or side.problem)
 
     async def _own(self) -> ManagedSide:
@@ -96,10 +95,11 @@ class ChangesPart(EnginePart):
         try:
             outcome = await link.extensions.find(LinkChanges).run(target, action, command.values)
         except LinkError as error:
-            log.add(ChangeCode.FAILED, f"{what}: {action}: {error}: asked for", link=link.name)
+            log.add(ChangeCode.FAILED, f"{what}: {action}: {error}, asked for", level=Level.WARNING, link=link.name)
             raise
+        level = Level.INFO if outcome.done else Level.WARNING
         code = ChangeCode.ENDED if outcome.done else ChangeCode.REFUSED if outcome.refused else ChangeCode.FAILED
-        log.add(code, f"{what}: {ChangeText.of(action, outcome)}: asked for", link=link.name)
+        log.add(code, f"{what}: {ChangeText.of(action, outcome)}, asked for", level=level, link=link.name)
         return outcome
 
     async def close(self) -> None:

@@ -79,7 +79,7 @@ def rows(role: str, sides: Sequence[ManagedSide]) -> Iterator[LifecycleRow]:
             else:
                 state, actions = each.state or LifecycleText.NO_ANSWER(), _possible(each.offers)
             if each.name in under_way:
-                state = f"{under_way[each.name].action} under way"
+                state, actions = f"{under_way[each.name].action} under way", ()
             yield LifecycleRow(side.link, name, each.name, state, each.allowed, actions, nodes)
 
 

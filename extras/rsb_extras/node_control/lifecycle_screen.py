@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-import textwrap
 from typing import TYPE_CHECKING, ClassVar
 
-from rich.cells import cell_len
 from textual.binding import Binding
 from textual.screen import ModalScreen
 
@@ -15,16 +13,16 @@ from rsb_console.feature_console import (
     DIALOG,
     DONE,
     FAILED,
+    CellTable,
     ConfirmScreen,
     Dialog,
     FixedLines,
     ScrolledLines,
-    SelectableList,
-    fit,
+    wrapped,
 )
 from rsb_extras.node_control.change_records import GOALS, ChangeText
 from rsb_extras.node_control.change_requests import ChangeNodes, ListManaged
-from rsb_extras.node_control.lifecycle_rows import HEADINGS, LifecycleRow, LifecycleText, outcomes, rows, side_of
+from rsb_extras.node_control.lifecycle_rows import NOTHING, LifecycleRow, LifecycleText, outcomes, rows, side_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -40,8 +38,9 @@ _RENEWED_EVERY = 1.0  # s; the bridges look at the nodes as often
 _MOST_LINKS = 8
 """Links of a server that are asked each time; with more, only that of the topic under the cursor. A round figure."""
 _LOOKS = {"active": "ok", "inactive": "waiting", "unconfigured": "waiting", "finalized": "down"}
+_INDENT = "    "  # below a step
 _WIDTH = 76  # cells, until the screen is laid out
-HELP = "u up  w down  c configure  a activate  d deactivate  n clean up  S shut down"
+HELP = "u up   w down   c configure   a activate   d deactivate   n clean up   S shut down   esc close"
 _KEYS: dict[str, LifecycleAction] = {
     "u": "up", "w": "down", "c": "configure", "a": "activate", "d": "deactivate", "n": "cleanup", "S": "shutdown",
 }  # fmt: skip
@@ -51,42 +50,19 @@ class LifecycleScreenText(Wording):
     ASKING = "asking both sides"
     NO_SESSION = "no session runs"
     READ_ONLY = "this console is read-only"
+    NO_RIGHT = "no right to change {name}: {side} gives it by may: {{nodes: [{name}]}} in its session file"
     NOT_OFFERED = "{name} is {state}: it offers {offers} now"
-    RISES = "{nodes}: they become {goal}, and may move what they drive. Nobody may be in its way."
-    FALLS = "{nodes}: they become {goal}. What they move has to be safe without them."
+    RISES = "{nodes} will be {goal}. What is driven may move: nobody may be in its way."
+    FALLS = "{nodes} will be {goal}. What is driven has to be safe without."
     WAIT = "{name}: {action} is under way: wait until that is over"
 
 
-class LifecycleTable(SelectableList):
-    sticky = 1
+class LifecycleTable(CellTable[LifecycleRow]):
+    HEADINGS = "NAME", "SIDE", "STATE", "KEYS"
 
-    def __init__(self) -> None:
-        super().__init__(id="lifecycle")
-        self._rows: dict[str, LifecycleRow] = {}
-        self._widths: list[int] = [*map(len, HEADINGS)]
-
-    def show(self, shown: Sequence[LifecycleRow]) -> None:
-        self._rows = {row.key: row for row in shown}
-        columns = zip(HEADINGS, *(row.cells for row in shown), strict=True)
-        *widths, _ = (max(map(cell_len, column)) for column in columns)
-        self._widths = [*widths, 0]  # nothing follows the last one
-        self.show_keys(list(self._rows))
-
-    @property
-    def selected(self) -> LifecycleRow | None:
-        return None if self.cursor_key is None else self._rows.get(self.cursor_key)
-
-    def line(self, index: int) -> Line:
-        if index < self.sticky:
-            return fit(((" ", ""), *self._cells(HEADINGS, ("head",) * len(HEADINGS))), self.width)
-        row = self._rows[self.keys[index - self.sticky]]
-        looks = "strong" if row.nodes else "", "", _LOOKS.get(row.state, ""), "dim"
-        mark = ("▌" if self.is_cursor(index) else " ", "key")
-        return fit((mark, *self._cells(row.cells, looks)), self.width)
-
-    def _cells(self, texts: Sequence[str], looks: Sequence[str]) -> Iterator[tuple[str, str]]:
-        for text, look, width in zip(texts, looks, self._widths, strict=True):
-            yield f"{text:<{width}}  ", look
+    def cells(self, row: LifecycleRow) -> tuple[tuple[str, str], ...]:
+        look = "strong" if row.nodes else ""
+        return (row.name, look), (row.side, ""), (row.state, _LOOKS.get(row.state, "")), (_keys_of(row), "dim")
 
 
 class LifecycleScreen(ModalScreen[None]):
@@ -103,9 +79,9 @@ class LifecycleScreen(ModalScreen[None]):
     ]
     AUTO_FOCUS = "#lifecycle"
     DEFAULT_CSS = """
-    #lifecycle-problems { height: auto; background: $surface; }
-    #lifecycle { height: 2fr; margin: 1 0; background: $surface; }
-    #lifecycle-steps { height: 1fr; background: $surface; }
+    #lifecycle-problems { margin-bottom: 1; background: $surface; }
+    #lifecycle { height: 1fr; background: $surface; }
+    #lifecycle-steps { max-height: 40%; margin-top: 1; background: $surface; }
     """
 
     def __init__(self, console: Console, link: str, node: str = "") -> None:
@@ -113,7 +89,7 @@ class LifecycleScreen(ModalScreen[None]):
         self.console = console
         self._link, self._wanted = link, node and f"{link} {node}"
         self._sides: Sequence[ManagedSide] = ()
-        self.table, self.problems = LifecycleTable(), FixedLines(id="lifecycle-problems")
+        self.table, self.problems = LifecycleTable(id="lifecycle"), FixedLines(id="lifecycle-problems")
         self.steps = ScrolledLines(id="lifecycle-steps")
 
     def compose(self) -> ComposeResult:
@@ -160,7 +136,11 @@ class LifecycleScreen(ModalScreen[None]):
     def show_steps(self) -> None:
         row = self.table.selected
         last = None if row is None else outcomes(self._sides).get(row.key)
-        self.steps.show([] if row is None or last is None else _lines(row, *last, self.steps.size.width or _WIDTH))
+        lines = [] if row is None or last is None else [*_lines(row, *last, self.table.size.width or _WIDTH)]
+        grows = last is not None and not last[1].is_over and len(lines) > self.steps.line_count
+        self.steps.put(lines)
+        if grows:
+            self.call_after_refresh(self.steps.scroll_end, animate=False)
 
     def on_selectable_list_cursor_moved(self) -> None:
         self.show_steps()
@@ -174,6 +154,8 @@ class LifecycleScreen(ModalScreen[None]):
             self._warn(LifecycleScreenText.READ_ONLY())
         elif last is not None and not last[1].is_over:
             self._warn(LifecycleScreenText.WAIT(name=row.name, action=last[0]))
+        elif not row.allowed:
+            self._warn(LifecycleScreenText.NO_RIGHT(name=row.name, side=row.side))
         elif not row.nodes and action not in ("up", "down", *row.actions):
             offers = ", ".join(row.actions) or "nothing"
             self._warn(LifecycleScreenText.NOT_OFFERED(name=row.name, state=row.state, offers=offers))
@@ -219,11 +201,20 @@ def _lines(row: LifecycleRow, action: ChangeAction, outcome: ChangeOutcome, widt
         yield ((text, "waiting"),)
     else:
         sign, look = (DONE, "ok") if outcome.done else (FAILED, "down")
-        wrapped = textwrap.wrap(f"{sign} {text}", max(20, width), subsequent_indent="  ")
-        yield from (((line, look),) for line in wrapped)
+        yield from wrapped(f"{sign} {text}", width, look)
     for step in outcome.steps:
         sign, look = (FAILED, "down") if step.reason else (DONE, "ok")
-        yield ((f"  {sign} ", look), (ChangeText.of_step(step), ""))
+        first, *others = wrapped(ChangeText.of_step(step), width - len(_INDENT))
+        yield ((f"  {sign} ", look), *first)
+        yield from (((_INDENT, ""), *each) for each in others)
+
+
+def _keys_of(row: LifecycleRow) -> str:
+    """Return the keys that do something to a row now."""
+    if not row.allowed:
+        return LifecycleText.MAY_NOT()
+    possible = {*row.actions, "up", "down"} if row.actions else {}
+    return " ".join(key for key, action in _KEYS.items() if action in possible) or NOTHING
 
 
 async def show_lifecycle(screen: MainScreen) -> None:

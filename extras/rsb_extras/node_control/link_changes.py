@@ -20,11 +20,11 @@ from rsb_bridge.feature_api import (
     LinkError,
     Name,
     Questions,
+    TokenBucket,
     Wording,
     operator,
     sanitize_text,
 )
-from rsb_bridge.model.budgets import TokenBucket
 from rsb_extras.node_control.change_records import ChangeAction, ChangeOutcome, Managed, Target
 from rsb_extras.node_control.change_requests import LONGEST, TICKET_WITHIN
 from rsb_extras.node_control.node_changer import STARTS, STARTS_WITHIN, ChangeAsker, ChangeProblem, NodeChanger

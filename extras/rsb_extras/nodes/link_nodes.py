@@ -8,8 +8,7 @@ import msgspec
 import zstandard
 
 from rsb_bridge.config.rights import Use, as_if_listed
-from rsb_bridge.feature_api import LASTING, Cause, Extension, LinkError, Questions, Verdict, Wording
-from rsb_bridge.model.budgets import TokenBucket
+from rsb_bridge.feature_api import LASTING, Cause, Extension, LinkError, Questions, TokenBucket, Verdict, Wording
 from rsb_bridge.wire.codec import invalid, unpack
 from rsb_extras.nodes import SHOW_NODES
 from rsb_extras.nodes.graph_nodes import ROSOUT

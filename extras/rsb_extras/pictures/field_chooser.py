@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from rsb_extras.pictures.layouts import Subject
     from rsb_extras.pictures.picture import FieldNumber
 
-_KEYS = " type to search · ↑↓ move · space choose, open a topic · ⏎ plot · esc close"
+_KEYS = "type to search   ↑ ↓ move   space choose, open a topic   ⏎ plot   esc close"
 _RATE = 2.0
 _TRIED_AGAIN_AFTER = 1.0  # s; a round figure: how long a refusal outlives its cause
 _ASKED_EVERY = 5.0

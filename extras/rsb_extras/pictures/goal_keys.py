@@ -19,8 +19,8 @@ _TURN = 15.0
 
 
 class GoalText(Wording):
-    PLACE = "GOAL at {x:.2f}, {y:.2f} m in {frame}: arrows move it, ⏎ turns it, esc leaves"
-    HEADING = "GOAL at {x:.2f}, {y:.2f} m, heading {degrees:.0f}°: ←→ turn it, ⏎ publishes, esc leaves"
+    PLACE = "GOAL at {x:.2f}, {y:.2f} m in {frame}: arrows move it, enter turns it, esc leaves"
+    HEADING = "GOAL at {x:.2f}, {y:.2f} m, heading {degrees:.0f}°: arrows turn it, enter publishes, esc leaves"
 
 
 class GoalKeys:

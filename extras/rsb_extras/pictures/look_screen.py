@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import TopicInfo
     from rsb_console.feature_console import Console, Line
 
-_KEYS = " type to search · ↑↓ choose · ⏎ look · esc close"
+_KEYS = "type to search   ↑ ↓ choose   ⏎ look   esc close"
 _SIDE, _TOPIC = 14, 34
 _OVERVIEW = (
     (("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"), Wish(rate=5.0)),

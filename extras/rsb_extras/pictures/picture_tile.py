@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 _TRIED_AGAIN_AFTER = 1.0  # s; a round figure: how long a refusal outlives its cause
 _ZOOM, _PAN, _TILT = 1.5, 0.1, 15.0
-_KEYS = ("space hold", "t text", "+- zoom", "p file", "f fields", "h how", "<> rate", "←→↑↓")
+_KEYS = ("space hold", "t text", "+- zoom", "p file", "f fields", "h how", "<> rate", "arrows move")
 _MAP_KEYS, _POINT_KEYS = ("l layers",), ("[] tilt", "c colour")
 _PUBLISH = next((action.with_message for action in ACTIONS if action.with_message is not None), None)
 _GOAL_TOPIC = "/goal_pose"

@@ -18,11 +18,11 @@ from rsb_bridge.feature_api import (
     LinkError,
     Name,
     Questions,
+    TokenBucket,
     Wording,
     operator,
     sanitize_text,
 )
-from rsb_bridge.model.budgets import TokenBucket
 from rsb_extras.units.unit_records import UnitAction, UnitName, UnitOutcome, UnitRecords
 from rsb_extras.units.unit_requests import LONGEST, TICKET_WITHIN
 from rsb_extras.units.unit_runner import Asker, UnitProblem, UnitRunner

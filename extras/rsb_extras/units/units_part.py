@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from typing import TYPE_CHECKING
 
-from rsb_bridge.feature_api import EnginePart, LinkError, link_named, one_line, operator, sanitize_text
+from rsb_bridge.feature_api import EnginePart, Level, LinkError, link_named, one_line, operator, sanitize_text
 from rsb_extras.units import UNITS
 from rsb_extras.units.link_units import LinkUnits
 from rsb_extras.units.unit_records import NAME, UnitText
@@ -29,8 +29,7 @@ class UnitsPart(EnginePart):
         if command.link:
             return (await self._of_link(link_named(command.link, self._bridge.links())),)
         own = UnitGroup(units=await self._runner.records(Asker(operator())))
-        linked = [link for link in self._bridge.links() if link.linked]
-        groups = (own, *await asyncio.gather(*map(self._of_link, linked)))
+        groups = (own, *await asyncio.gather(*map(self._of_link, self._bridge.links())))
         return tuple(group for group in groups if group.units or group.problem)
 
     async def _of_link(self, link: Link) -> UnitGroup:
@@ -50,10 +49,11 @@ class UnitsPart(EnginePart):
         try:
             outcome = await link.extensions.find(LinkUnits).run(command.unit, command.action)
         except LinkError as error:
-            log.add(UnitCode.FAILED, f"{what}: {error}: asked for", link=link.name)
+            log.add(UnitCode.FAILED, f"{what}: {error}, asked for", level=Level.WARNING, link=link.name)
             raise
+        level = Level.INFO if outcome.done else Level.WARNING
         code = UnitCode.ENDED if outcome.done else UnitCode.REFUSED if outcome.refused else UnitCode.FAILED
-        log.add(code, f"{what}: {UnitText.of(command.action, outcome)}: asked for", link=link.name)
+        log.add(code, f"{what}: {UnitText.of(command.action, outcome)}, asked for", level=level, link=link.name)
         return outcome
 
     async def close(self) -> None:

@@ -6,7 +6,6 @@ import asyncio
 from typing import TYPE_CHECKING, ClassVar, NamedTuple, TypeAlias
 from weakref import WeakKeyDictionary
 
-from rich.cells import cell_len
 from textual.binding import Binding
 from textual.screen import ModalScreen
 
@@ -15,12 +14,12 @@ from rsb_console.feature_console import (
     DIALOG,
     DONE,
     FAILED,
+    CellTable,
     ConfirmScreen,
     Dialog,
     FixedLines,
     ScrolledLines,
-    SelectableList,
-    fit,
+    wrapped,
 )
 from rsb_extras.units.unit_records import UnitAction, UnitOutcome, UnitText
 from rsb_extras.units.unit_requests import ControlUnit, ListUnits
@@ -37,10 +36,10 @@ if TYPE_CHECKING:
     from rsb_extras.units.unit_records import UnitRecord
     from rsb_extras.units.unit_requests import UnitGroup
 
+_WIDTH = 76  # cells, until the screen is laid out
 _RENEWED_EVERY = 2.0  # s; a round figure: a bridge looks for states each 5 s at most
 _MOST_LINKS = 8
 """Links of a server that are asked each time; with more, only that of the topic under the cursor. A round figure."""
-_HEADINGS = "UNIT", "SIDE", "STATE", "AGE", "ACTIONS"
 _LOOKS = {"running": "ok", "stopped": "waiting", "failed": "down", "unknown": "unknown"}
 HELP = "x restart   s start   S stop   esc close"
 _Results: TypeAlias = dict[str, tuple[UnitAction, UnitOutcome | None]]
@@ -71,40 +70,14 @@ class UnitRow(NamedTuple):
     def key(self) -> str:
         return f"{self.link}/{self.unit.name}"
 
-    @property
-    def cells(self) -> tuple[str, ...]:
-        return self.unit.name, self.side, state_text(self.unit), age_text(self.unit), actions_text(self.unit)
 
+class UnitsTable(CellTable[UnitRow]):
+    HEADINGS = "UNIT", "SIDE", "STATE", "AGE", "ACTIONS"
 
-class UnitsTable(SelectableList):
-    sticky = 1
-
-    def __init__(self) -> None:
-        super().__init__(id="units")
-        self._rows: dict[str, UnitRow] = {}
-        self._widths: list[int] = [*map(len, _HEADINGS)]
-
-    def show(self, rows: Sequence[UnitRow]) -> None:
-        self._rows = {row.key: row for row in rows}
-        columns = zip(_HEADINGS, *(row.cells for row in rows), strict=True)
-        self._widths = [max(map(cell_len, column)) for column in columns]
-        self.show_keys(list(self._rows))
-
-    @property
-    def selected(self) -> UnitRow | None:
-        return None if self.cursor_key is None else self._rows.get(self.cursor_key)
-
-    def line(self, index: int) -> Line:
-        if index < self.sticky:
-            return fit(((" ", ""), *self._cells(_HEADINGS, ("head",) * len(_HEADINGS))), self.width)
-        row = self._rows[self.keys[index - self.sticky]]
-        looks = "strong", "", _LOOKS[row.unit.state], "dim", ""
-        mark = ("▌" if self.is_cursor(index) else " ", "key")
-        return fit((mark, *self._cells(row.cells, looks)), self.width)
-
-    def _cells(self, texts: Sequence[str], looks: Sequence[str]) -> Iterator[tuple[str, str]]:
-        for text, look, width in zip(texts, looks, self._widths, strict=True):
-            yield f"{text:<{width}}  ", look
+    def cells(self, row: UnitRow) -> tuple[tuple[str, str], ...]:
+        unit = row.unit
+        state = state_text(unit), _LOOKS[unit.state]
+        return (unit.name, "strong"), (row.side, ""), state, (age_text(unit), "dim"), (actions_text(unit), "")
 
 
 class UnitsScreen(ModalScreen[None]):
@@ -118,16 +91,16 @@ class UnitsScreen(ModalScreen[None]):
     ]
     AUTO_FOCUS = "#units"
     DEFAULT_CSS = """
-    #units-problems { height: auto; background: $surface; }
-    #units { height: 1fr; margin: 1 0; background: $surface; }
-    #units-outcome { height: 1fr; background: $surface; }
+    #units-problems { margin-bottom: 1; background: $surface; }
+    #units { height: 1fr; background: $surface; }
+    #units-outcome { max-height: 50%; margin-top: 1; background: $surface; }
     """
 
     def __init__(self, main: MainScreen, link: str) -> None:
         super().__init__()
         self.main, self.console = main, main.console
         self._link = link
-        self.table, self.problems = UnitsTable(), FixedLines(id="units-problems")
+        self.table, self.problems = UnitsTable(id="units"), FixedLines(id="units-problems")
         self.outcome = ScrolledLines(id="units-outcome")
 
     def compose(self) -> ComposeResult:
@@ -176,7 +149,8 @@ class UnitsScreen(ModalScreen[None]):
 
     def show_outcome(self) -> None:
         row, results = self.table.selected, self.results
-        self.outcome.show([] if row is None or row.key not in results else _lines(row, *results[row.key]))
+        width = self.table.size.width or _WIDTH
+        self.outcome.put([] if row is None or row.key not in results else [*_lines(row, *results[row.key], width)])
 
     def on_selectable_list_cursor_moved(self) -> None:
         self.show_outcome()
@@ -233,14 +207,14 @@ def _ended(row: UnitRow, text: str) -> str:
     return UnitsCommandText.ENDED(name=row.unit.name, side=row.side, text=text)
 
 
-def _lines(row: UnitRow, action: UnitAction, outcome: UnitOutcome | None) -> Iterator[Line]:
+def _lines(row: UnitRow, action: UnitAction, outcome: UnitOutcome | None, width: int) -> Iterator[Line]:
     if outcome is None:
         yield ((_ended(row, UnitsScreenText.UNDER_WAY(action=action)), "waiting"),)
         return
     sign, look = (DONE, "ok") if outcome.done else (FAILED, "down")
-    yield ((f"{sign} {_ended(row, UnitText.of(action, outcome))}", look),)
+    yield from wrapped(f"{sign} {_ended(row, UnitText.of(action, outcome))}", width, look)
     for line in () if outcome.done else (*outcome.output, *outcome.log):
-        yield ((line, ""),)
+        yield from wrapped(line, width)
 
 
 async def show_units(screen: MainScreen) -> None:

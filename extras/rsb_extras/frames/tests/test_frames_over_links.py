@@ -230,6 +230,16 @@ def test_stamps_are_on_this_machines_clock(bridge: Bridge) -> None:
     assert none.sec == none.nanosec == 0
 
 
+def test_a_shifted_stamp_is_not_corrected_again_for_a_viewer(bridge: Bridge) -> None:
+    pc, send = stamps(bridge, restamp_within=10.0)
+    send(5000)
+    shown = pc.peek(route(pc, "/scan_header").key, kept=False)
+    send(5001)
+    message = shown.result(30)
+    assert message is not None
+    assert message.clock_offset == 0.0
+
+
 def test_an_unsure_clock_changes_no_stamp_and_is_shown(bridge: Bridge) -> None:
     pc, send = stamps(bridge, restamp_within=1e-9)
     assert send(5000).stamp.sec == 5000

@@ -13,6 +13,7 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.config.session_file import save
 from rsb_bridge.model.commands import acting
 from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import Level
 from rsb_extras.node_control.change_records import ChangeOutcome, Managed
 from rsb_extras.node_control.change_requests import ChangeNodes, ListManaged
 from rsb_extras.node_control.node_changer import STARTS, ChangeCode
@@ -89,6 +90,9 @@ def test_group_stops_at_first_refusal_and_goes_on_later(bridge: Bridge, nodes: M
     assert [(step.node, bool(step.reason)) for step in failed.steps] == [("/planner", False), ("/controller", True)]
     assert nodes.taken == UP[:2]
     assert happened(robot, ChangeCode.FAILED, "nav: up: /controller refused to configure")
+    asked = happened(pc, ChangeCode.FAILED, "see its log, asked for by ")
+    assert asked is not None
+    assert asked.level is Level.WARNING
     nodes["controller"].refused.clear()
     again = change(pc)
     assert again.done
@@ -272,6 +276,11 @@ def test_a_restarted_bridge_knows_nothing_of_a_change(bridge: Bridge, nodes: Man
     )
     nodes["controller"].go.set()
     assert nodes.taken == UP[:2]
+
+
+def test_a_side_that_is_not_linked_is_named(bridge: Bridge) -> None:
+    (side,) = bridge.server().do(ListManaged()).result(60)
+    assert side.problem.startswith("robot1 is not linked: ")
 
 
 def test_two_nodes_of_one_name_are_not_changed(bridge: Bridge, nodes: ManagedNodes, robot: Domain) -> None:

@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING
 
 from tests.console.driving import NARROW, WIDE, engine_of, gone, notified, on_main, shown, text, until
 
-from rsb_extras.node_control.change_requests import ChangeNodes, ListManaged
+from rsb_extras.node_control.change_records import (
+    ChangeOutcome,
+    ChangeStep,
+    ListedGroup,
+    Managed,
+    ManagedNode,
+    NodeChange,
+)
+from rsb_extras.node_control.change_requests import ChangeNodes, ListManaged, ManagedSide
 from rsb_extras.node_control.lifecycle_rows import LifecycleText
 from rsb_extras.node_control.lifecycle_screen import LifecycleScreen, LifecycleScreenText
 from rsb_extras.node_control.tests.scripted_answers import DONE, SIDES
@@ -18,7 +26,6 @@ if TYPE_CHECKING:
     from textual.pilot import Pilot
 
     from rsb_console.app import ConsoleApp
-    from rsb_extras.node_control.change_records import ChangeOutcome
 
 
 def told(app: ConsoleApp) -> list[tuple[object, ...]]:
@@ -35,9 +42,10 @@ async def opened(pilot: Pilot[None], *down: str) -> None:
 async def test_nodes_and_groups_are_shown_with_the_last_change(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await opened(pilot)
     lines = [" ".join(line.strip(" │▌").split()) for line in text(app).splitlines()]
-    assert any(line.startswith("/camera this side active deactivate") for line in lines)
+    assert "/camera this side active u w d S" in lines
     assert "/controller the server unconfigured no right" in lines
-    assert any(line.startswith("nav the server 1 inactive, 1 unconfigured up down") for line in lines)
+    assert "nav the server 1 inactive, 1 unconfigured u w" in lines
+    assert "esc close" in text(app)
     await pilot.press("j")
     await shown(pilot, "nav of the server: up: /controller refused to configure, and is")
     await until(pilot, lambda: "see its log" in text(app), "the whole reason")
@@ -50,7 +58,7 @@ async def test_nodes_and_groups_are_shown_with_the_last_change(app: ConsoleApp, 
 async def test_a_change_is_asked_first(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await opened(pilot, "j", "u")
     await shown(pilot, "Up nav of the server?")
-    await shown(pilot, "/controller: they become active")
+    await shown(pilot, "/controller will be active")
     await pilot.press("n")
     await gone(pilot, "Up nav of the server?")
     assert told(app) == []
@@ -66,6 +74,31 @@ async def test_what_a_node_does_not_offer_is_named(app: ConsoleApp, pilot: Pilot
     offers = {"name": "/camera", "state": "active", "offers": "deactivate, shutdown"}
     await notified(pilot, LifecycleScreenText.NOT_OFFERED, **offers)
     assert told(app) == []
+
+
+@on_main(NARROW)
+async def test_without_a_right_nothing_is_asked(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await opened(pilot, "j", "j", "c")
+    await notified(pilot, LifecycleScreenText.NO_RIGHT, name="/controller", side="the server")
+    assert told(app) == []
+
+
+@on_main(NARROW)
+async def test_long_names_and_states_fit(app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch) -> None:
+    names = [f"/robot_of_the_west_wing/navigation/{each}_server" for each in ("planner", "controller", "behavior")]
+    known = zip(names, ("active", "inactive", "unconfigured"), strict=True)
+    nodes = tuple(ManagedNode(name, state, ("activate", "cleanup", "shutdown"), True) for name, state in known)
+    outcome = ChangeOutcome(False, seconds=3.0, steps=tuple(ChangeStep(f"/n{each}", "configure") for each in range(20)))
+    managed = Managed(nodes, (ListedGroup("nav", tuple(names), True),), (NodeChange(names[0], "up", outcome),))
+    played = {ListManaged: lambda _: (ManagedSide("robot1", managed),)}
+    monkeypatch.setattr("tests.console.scripted.answers", lambda: played)
+    await pilot.press("X")
+    await shown(pilot, "1 active, 1 inactive, 1 unconfigured")
+    lines = [line.strip(" │▌").split() for line in text(app).splitlines()]
+    keys = [line[-4:] for line in lines if line and "…" in line[0]]
+    assert keys == [["up", "under", "way", "-"], *[["w", "a", "n", "S"]] * 2], "of long names"
+    await pilot.press("j")
+    await shown(pilot, "/n19  configure")  # the newest step
 
 
 @on_main(NARROW, readonly=True)

@@ -7,6 +7,7 @@ from typing import Any
 from rsb_extras.units.unit_records import ACTIONS, UnitOutcome, UnitRecord, UnitState
 from rsb_extras.units.unit_requests import ControlUnit, ListUnits, UnitGroup
 
+LAST_LINE = "cannot open /dev/lidar: no such device; is the cable of the lidar in its socket at the left of the mast?"
 GROUPS = (
     UnitGroup("", (UnitRecord("camera", ("restart",), True, UnitState.RUNNING, 1.2),)),
     UnitGroup(
@@ -22,7 +23,7 @@ GROUPS = (
 def _controlled(command: ControlUnit) -> UnitOutcome:
     if command.unit == "lidar":
         return UnitOutcome(reason="restart ended with exit code 7", seconds=0.3, state=UnitState.FAILED,
-                           output=("no device",), log=("cannot open /dev/lidar",))  # fmt: skip
+                           output=("no device",), log=(LAST_LINE,))  # fmt: skip
     return UnitOutcome(done=True, seconds=4.2, state=UnitState.RUNNING)
 
 

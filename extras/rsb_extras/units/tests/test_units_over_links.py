@@ -360,3 +360,8 @@ def test_states_are_looked_for_only_while_somebody_asks(bridge: Bridge, nav: Sup
         listed(pc)
     spent = inside(robot).context.now() - began
     assert 1 <= len(nav.ran) <= 1 + spent / 5
+
+
+def test_a_side_that_is_not_linked_is_named(bridge: Bridge) -> None:
+    (side,) = bridge.server().do(ListUnits()).result(60)
+    assert side.problem.startswith("robot1 is not linked: ")
