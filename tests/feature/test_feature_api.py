@@ -36,7 +36,7 @@ BEYOND = {
     "mcp_server": 2,
     "mirrored_nodes": 6,
     "node_control": 4,
-    "nodes": 14,
+    "nodes": 13,
     "operators": 24,
     "own_commands": 7,
     "pictures": 41,
