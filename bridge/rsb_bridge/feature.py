@@ -51,7 +51,8 @@ BRINGS_COMMANDS: Mapping[str, str] = {
 """The same of subcommands."""
 BRINGS_ACTIONS: Mapping[str, str] = {
     "demo": "demo", "drive": "driving", "history": "history", "import_session": "imports", "lifecycle": "node_control",
-    "look": "pictures", "nodes": "nodes", "parameters": "node_control", "publish": "driving", "record": "recording", "units": "units",
+    "look": "pictures", "nodes": "nodes", "parameters": "node_control", "publish": "driving",
+    "record": "recording", "units": "units",
     **dict.fromkeys(("dismiss", "edit_marked", "mark", "open_robot"), "fleet"),
 }  # fmt: skip
 """The same of actions of the console, by their ids in ``keys.yaml``."""

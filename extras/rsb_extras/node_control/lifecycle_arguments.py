@@ -27,7 +27,10 @@ exit codes:
   1  refused or failed; then the last step says why
 {NO_BRIDGE}"""
 CHAPTERS = (
-    KeyChapter("Of other features, on a node", "NodesScreen", (("x", "Show its lifecycle, and change it"), ("p", "Show its parameters, and set them"))),
+    KeyChapter(
+        "Of other features, on a node", "NodesScreen",
+        (("x", "Show its lifecycle, and change it"), ("p", "Show its parameters, and set them")),
+    ),
     KeyChapter(
         "Lifecycle (X)", "LifecycleScreen",
         (
