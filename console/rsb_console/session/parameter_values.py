@@ -10,6 +10,7 @@ import yaml
 from rsb_bridge.config.fields_text import read_fields
 from rsb_bridge.config.yaml_text import YamlError, compose, dump_yaml, inline
 from rsb_bridge.model.calls import FieldError
+from rsb_bridge.model.text import is_clean, one_line
 from rsb_bridge.model.wording import Wording
 
 
@@ -134,6 +135,8 @@ def value_of_node(node: yaml.Node, kind: str = "") -> tuple[str, Any]:
 def shown_value(plain: Any, most: int = _SHOWN) -> str:
     """Return a value as YAML on one line, cut if it has more than `most` characters."""
     text = inline(plain)
+    if not is_clean(text):  # a text with ends of lines, or signs that nobody sees
+        text = one_line(inline(plain, '"'))
     return f"{text[:most]}{'…' * (len(text) > most)}"
 
 

@@ -13,7 +13,10 @@ from rclpy.parameter import parameter_dict_from_yaml_file
 from tests.support.bridge import linked
 from tests.support.waiting import eventually
 
+from rsb_bridge.model.text import is_clean
 from rsb_console.command.shell import FAILURE, OK, USAGE
+from rsb_console.session.parameter_files import parameters_text, read_parameter_file
+from rsb_console.session.parameter_values import parameter_value, shown_value
 from rsb_extras.node_control.target_names import nodes_with_parameters, parameter_names
 from rsb_extras.node_control.tests.managed_nodes import has
 from rsb_extras.node_control.tests.tuned_node import LARGE, VALUES, TunedNode
@@ -205,6 +208,26 @@ def test_a_real_node_is_saved_changed_and_restored(
         assert ran("params", "get", node, "unset", "--json").json["parameters"][0]["value"] is None
         tuned.refused = "not while it drives"
         assert "not while it drives" in ran("params", "set", node, "frame", "odom", "--yes").err
+
+
+def test_any_names_are_written_and_read_again(tmp_path: Path) -> None:
+    path = tmp_path / "any.yaml"
+    values = {
+        "a": 1, "a.b": 2.5, "a.b.c": "0o7", "d.e": "yes", "d.f.g": [], "x..y": float("inf"), ".z": "", "end.": "a: b",
+        "deep." * 30 + "x": True, "q./parameter_events.depth": ["1", "null", "1.0", "\ttab\n"],
+    }  # fmt: skip
+    path.write_text(parameters_text("/ns/any", values))
+    read = read_parameter_file(path, "/ns/any")
+    kinds = {"d.f.g": "integer_array", "a.b.c": "string"}
+    assert {name: each.meant(kinds.get(name, ""))[1] for name, each in read.items()} == values
+    assert {*parameter_dict_from_yaml_file(str(path), target_nodes=["/ns/any"])} == {*values}
+
+
+@pytest.mark.parametrize("plain", ["a\nb: c\n", ["x\r\n", "\x1b[2J"], "\u200bhidden\u2028", "tab\there", 'quote"\n'])
+def test_a_text_of_many_lines_is_shown_on_one_and_read_again(plain: str | list[str]) -> None:
+    shown = shown_value(plain)
+    assert is_clean(shown)
+    assert parameter_value(shown)[1] == plain
 
 
 def test_names_are_completed(machine: Machine, here: None) -> None:
