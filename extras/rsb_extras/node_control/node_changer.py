@@ -60,7 +60,7 @@ class ChangeProblem(Wording):
     NO_VALUES = (
         "a change sets 1 to {most} parameters of one node, each once, with values of their types, {size} bytes at most"
     )
-    NOT_SHOWN = "{owner} does not show its nodes to {peer}: show_nodes is false {place}"
+    NOT_READ = "{owner} does not let {peer} read parameters of {node}: add may: {{nodes: [{name}]}} {where}"
     NO_GROUP = "the session of {owner} lists no group {name}: see rsb-console lifecycle"
     NOT_ALLOWED = "{owner} does not let {peer} change {node}: add may: {{nodes: [{name}]}} {where}"
     BUSY = "{node} is being changed already: wait until that is over"
@@ -169,9 +169,7 @@ class NodeChanger:
             names = await nodes_with_parameters(self._context)
             nodes = (ParameterNode(each, self._may(asker, each)) for each in names)
             return ParametersAnswer(ask.request, nodes=tuple(each for each in nodes if shows or each.allowed))
-        if asker.link is not None and not shows and not self._may(asker, ask.node):
-            rights = asker.link.end.rights
-            problem = ChangeProblem.NOT_SHOWN(owner=rights.owner, peer=rights.peer, place=rights.place)
+        if problem := self._lacks_right(ask.node, (ask.node,), asker, ChangeProblem.NOT_READ):
             return ParametersAnswer(ask.request, problem=sanitize_text(problem))
         return await page_of(self.services, ask)
 
@@ -237,7 +235,13 @@ class NodeChanger:
         what = "" if asker.link is None else armed_of_nodes(self.links, nodes, self._context.ros, asker.link)
         return ChangeProblem.ARMED(what=what) if what else ""
 
-    def _lacks_right(self, target: str, nodes: Sequence[str], asker: ChangeAsker) -> str:
+    def _lacks_right(
+        self,
+        target: str,
+        nodes: Sequence[str],
+        asker: ChangeAsker,
+        problem: ChangeProblem = ChangeProblem.NOT_ALLOWED,
+    ) -> str:
         if asker.link is None:
             return ""
         # A group that is not listed is refused as one that may not be asked for: a peer learns nothing by asking.
@@ -247,7 +251,7 @@ class NodeChanger:
         rights = asker.link.end.rights
         where = f"to {rights.place.removeprefix('of ')}" if rights.place.startswith("of ") else rights.place
         names = {"owner": rights.owner, "peer": rights.peer, "node": lacking, "name": target, "where": where}
-        return ChangeProblem.NOT_ALLOWED(**names)
+        return problem(**names)
 
     async def _work(
         self, nodes: Sequence[str], action: ChangeAction, steps: list[ChangeStep], values: Sequence[NewValue]

@@ -74,7 +74,7 @@ def change(engine: Engine, *values: NewValue, link: str = "robot1", target: str 
 
 
 def test_all_parameters_cross_with_their_descriptors(bridge: Bridge, node: TunedNode) -> None:
-    pc, robot = two_sides(bridge)
+    pc, robot = two_sides(bridge, NODE)
     found = read(pc)
     assert list(found) == sorted(found)
     plain = {name: parameter.value.plain() for name, parameter in found.items() if not parameter.size}
@@ -89,7 +89,7 @@ def test_all_parameters_cross_with_their_descriptors(bridge: Bridge, node: Tuned
     assert (found["serial"].read_only, found["any"].dynamic) == (True, True)
     assert found == read(robot, link=""), "of one's own side the same"
     assert {side.link: [each.allowed for each in side.nodes if each.name == NODE] for side in sides(pc)} == {
-        "robot1": [False]
+        "robot1": [True]
     }
 
 
@@ -98,7 +98,7 @@ def sides(engine: Engine) -> Any:
 
 
 def test_a_large_value_is_left_out_unless_it_is_wanted(bridge: Bridge, node: TunedNode) -> None:
-    pc, _ = two_sides(bridge)
+    pc, _ = two_sides(bridge, NODE)
     listed = read(pc)["description"]
     assert (listed.value, listed.size > 100_000) == (ParameterValue("string"), True)
     assert read(pc, "description", whole=True)["description"].value.plain() == LARGE
@@ -110,7 +110,7 @@ def test_a_large_value_is_left_out_unless_it_is_wanted(bridge: Bridge, node: Tun
 def test_names_choose_and_pages_follow_each_other(bridge: Bridge, node: TunedNode) -> None:
     for number in range(450):
         node.node.declare_parameter(f"many.p{number}", number)
-    pc, _ = two_sides(bridge)
+    pc, _ = two_sides(bridge, NODE)
     found = read(pc)
     assert [found[f"many.p{number}"].value.plain() for number in range(450)] == [*range(450)]
     assert [*read(pc, "frame", "nothing", "count")] == ["count", "frame"]
@@ -148,20 +148,20 @@ def test_a_nodes_reason_is_shown(bridge: Bridge, node: TunedNode) -> None:
     assert happened(robot, ChangeCode.FAILED, "not while it drives")
 
 
-def test_without_the_right_the_other_side_only_reads(bridge: Bridge, node: TunedNode) -> None:
+def test_without_the_right_nothing_is_read_or_set(bridge: Bridge, node: TunedNode) -> None:
     pc, robot = two_sides(bridge)
     refused = change(pc, new("frame", "string", "odom"))
     assert refused.refused
     assert refused.reason.startswith(f"robot1 does not let the server change {NODE}: add may: {{nodes: [{NODE}]}}")
     assert node["frame"] == "map"
+    with pytest.raises(EngineError, match=f"robot1 does not let the server read parameters of {NODE}: add may:"):
+        read(pc)
     assert change(robot, new("frame", "string", "odom"), link="").done
     assert node["frame"] == "odom"
 
 
-def test_hidden_nodes_are_not_read_but_those_that_may_be_changed(bridge: Bridge, node: TunedNode) -> None:
+def test_hidden_nodes_are_not_listed(bridge: Bridge, node: TunedNode) -> None:
     pc, _ = two_sides(bridge, features={"show_nodes": False})
-    with pytest.raises(EngineError, match="robot1 does not show its nodes to the server: show_nodes is false"):
-        read(pc)
     assert sides(pc) == ()
 
 
@@ -207,7 +207,7 @@ def test_what_is_no_change_reaches_no_node(bridge: Bridge, node: TunedNode, targ
 
 
 def test_nodes_that_give_none_are_named(bridge: Bridge, node: TunedNode) -> None:
-    pc, _ = two_sides(bridge)
+    pc, _ = two_sides(bridge, NODE, "/nobody")
     with pytest.raises(EngineError, match="/nobody does not run, or has no service /list_parameters"):
         pc.do(ReadParameters("/nobody", link="robot1")).result(60)
     with pytest.raises(EngineError, match="is neither a node's full name nor a group's"):
