@@ -19,10 +19,10 @@ machine says (may). A change asks first, and shows the old value and the new one
 For a node that is bridged for programs, too, there is rsb-console param.
 
 for example:
-  rsb-console params list /controller_server
-  rsb-console params set /controller_server FollowPath.max_vel_x 0.4
-  rsb-console params dump /controller_server --output controller.yaml
-  rsb-console params diff /controller_server controller.yaml
+  rsb-console params list /lidar_driver
+  rsb-console params set /lidar_driver frame base_laser
+  rsb-console params dump /lidar_driver --output lidar.yaml
+  rsb-console params diff /lidar_driver lidar.yaml
 
 exit codes:
   0  done; for diff, nothing differs

@@ -82,7 +82,8 @@ PARAMETER_SIDES = (
 
 
 def _read(command: ReadParameters) -> tuple[NodeParameter, ...]:
-    return tuple(each for each in PARAMETERS if not command.names or each.name in command.names)
+    found = PARAMETERS[1:] if command.node == "/lidar_driver" else PARAMETERS  # the first is too large for a link
+    return tuple(each for each in found if not command.names or each.name in command.names)
 
 
 ANSWERS: dict[Any, Any] = {
