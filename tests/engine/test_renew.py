@@ -68,6 +68,7 @@ def test_without_it_nobody_comes(bridge: Bridge, costmap: Costmap, pc: Domain) -
     server, client = bridge.both(Topic("/map", "transmit"))
     pc.listener("/map")
     carries([costmap.publisher], server, ["/map"])
+    eventually(lambda: costmap.came, what="its event, which may come later than its messages")
     came, second = costmap.came, pc.listener("/map")
     eventually(lambda: second.matched and route(client, "/map").audience.count == 2)
     holds(lambda: costmap.came == came, APART)
