@@ -23,6 +23,7 @@ if TYPE_CHECKING:
         subcommand,
     )
     from rsb_console.command.shell import FAILURE, INTERRUPTED, OK, USAGE, print_error, print_line, print_lines
+    from rsb_console.command.sides import chosen_side, side_of, table_lines
     from rsb_console.command.target import (
         NoBridgeError,
         UsageError,
@@ -82,6 +83,7 @@ _NAMES = {
         "subcommand",
     ),
     "rsb_console.command.shell": ("FAILURE", "INTERRUPTED", "OK", "USAGE", "print_error", "print_line", "print_lines"),
+    "rsb_console.command.sides": ("chosen_side", "side_of", "table_lines"),
     "rsb_console.command.target": (
         "NoBridgeError",
         "UsageError",

@@ -14,15 +14,18 @@ from rsb_console.feature_console import (
     UsageError,
     agreed,
     attached,
+    chosen_side,
     done,
     json_line,
     print_error,
     print_line,
     result,
+    side_of,
+    table_lines,
 )
 from rsb_extras.node_control.change_records import ChangeText
 from rsb_extras.node_control.change_requests import ANSWERED_WITHIN, ChangeNodes, ListManaged
-from rsb_extras.node_control.lifecycle_rows import HEADINGS, LifecycleText, outcomes, rows, side_of
+from rsb_extras.node_control.lifecycle_rows import HEADINGS, LifecycleText, outcomes, rows
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -71,27 +74,14 @@ def _list(engine: RemoteEngine, arguments: Namespace, sides: Sequence[ManagedSid
 
 def _lines(role: str, sides: Sequence[ManagedSide]) -> Iterator[str]:
     table = [row.cells for row in rows(role, sides)]
-    if not table:
-        yield LifecycleText.NONE()
-        return
-    table.insert(0, HEADINGS)
-    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
-    for cells in table:
-        yield "  ".join(f"{cell:<{width}}" for cell, width in zip(cells, widths, strict=True)).rstrip()
+    return table_lines(HEADINGS, table) if table else iter([LifecycleText.NONE()])
 
 
 def _chosen(arguments: Namespace, sides: Sequence[ManagedSide]) -> str:
     """Return the link whose other side has the node or the group, or an empty string for this side."""
     names = [(side.link, each.name) for side in sides for each in side.managed.targets]
-    found = [link for link, name in names if name == arguments.target]
-    if len(found) > 1:
-        options = "; ".join(f"--link {link}" if link else "--here" for link in found)
-        raise UsageError(LifecycleUsage.SEVERAL(count=len(found), name=arguments.target, options=options))
-    if not found:
-        known = ", ".join(sorted({name for _, name in names})) or "none"
-        problems = "".join(f" ({side.link}: {side.problem})" for side in sides if side.problem)
-        raise UsageError(LifecycleUsage.UNKNOWN(name=arguments.target, problems=problems, known=known))
-    return found[0]
+    texts = LifecycleUsage
+    return chosen_side(arguments.target, names, sides, several=texts.SEVERAL, unknown=texts.UNKNOWN)
 
 
 def _change(engine: RemoteEngine, arguments: Namespace, link: str) -> int:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections import Counter
 from typing import TYPE_CHECKING, NamedTuple
 
-from rsb_bridge.feature_api import Wording, other_side
+from rsb_bridge.feature_api import Wording
+from rsb_console.feature_console import side_of
 from rsb_extras.node_control.change_records import (
     LIFECYCLE_ACTIONS,
     ChangeAction,
@@ -59,11 +60,6 @@ class LifecycleRow(NamedTuple):
     def cells(self) -> tuple[str, ...]:
         possible = " ".join(self.actions) or NOTHING
         return self.name, self.side, self.state, possible if self.allowed else LifecycleText.MAY_NOT()
-
-
-def side_of(role: str, link: str) -> str:
-    """Return a side in words: this one if the link is empty."""
-    return other_side(role, link) if link else "this side"
 
 
 def rows(role: str, sides: Sequence[ManagedSide]) -> Iterator[LifecycleRow]:

@@ -18,11 +18,12 @@ from rsb_console.feature_console import (
     Dialog,
     FixedLines,
     ScrolledLines,
+    side_of,
     wrapped,
 )
 from rsb_extras.node_control.change_records import GOALS, ChangeText
 from rsb_extras.node_control.change_requests import ChangeNodes, ListManaged
-from rsb_extras.node_control.lifecycle_rows import NOTHING, LifecycleRow, LifecycleText, outcomes, rows, side_of
+from rsb_extras.node_control.lifecycle_rows import NOTHING, LifecycleRow, LifecycleText, outcomes, rows
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -26,10 +26,11 @@ from rsb_console.feature_console import (
     fit,
     parameter_value,
     shown_value,
+    side_of,
 )
 from rsb_extras.node_control.change_records import ChangeText
 from rsb_extras.node_control.change_requests import ChangeNodes
-from rsb_extras.node_control.lifecycle_rows import LifecycleText, side_of
+from rsb_extras.node_control.lifecycle_rows import LifecycleText
 from rsb_extras.node_control.parameter_requests import ReadParameters
 from rsb_extras.node_control.parameter_rules import ParameterChange, ParameterText, about, change_of, value_text
 

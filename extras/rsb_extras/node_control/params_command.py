@@ -14,6 +14,7 @@ from rsb_console.feature_console import (
     UsageError,
     agreed,
     attached,
+    chosen_side,
     done,
     failed,
     json_line,
@@ -25,10 +26,12 @@ from rsb_console.feature_console import (
     print_lines,
     read_parameter_file,
     result,
+    side_of,
+    table_lines,
 )
 from rsb_extras.node_control.change_records import ChangeText
 from rsb_extras.node_control.change_requests import ANSWERED_WITHIN, ChangeNodes
-from rsb_extras.node_control.lifecycle_rows import LifecycleText, side_of
+from rsb_extras.node_control.lifecycle_rows import LifecycleText
 from rsb_extras.node_control.parameter_requests import ListParameterNodes, ReadParameters
 from rsb_extras.node_control.parameter_rules import (
     ParameterText,
@@ -55,8 +58,8 @@ class ParamsText(Wording):
     """Texts of the command."""
 
     NONE = "neither side has nodes with parameters"
-    UNKNOWN = "no side that shows its nodes has {node} with parameters{problems}; there are: {known}"
-    SEVERAL = "{count} sides have {node}; choose one: {options}"
+    UNKNOWN = "no side that shows its nodes has {name} with parameters{problems}; there are: {known}"
+    SEVERAL = "{count} sides have {name}; choose one: {options}"
     MISSING = "{node} has no parameter {names}"
     PAIRS = "params set: {name} has no value: give names and values in turn"
     WRONG = "{name} of {node} cannot be set: {reason}"
@@ -100,10 +103,7 @@ def _list_nodes(arguments: Namespace, role: str, sides: Sequence[ParameterSide])
 
 
 def _table(headings: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> Iterator[str]:
-    table = [headings, *(tuple(map(one_line, row)) for row in rows)]
-    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
-    for cells in table:
-        yield "  ".join(f"{cell:<{width}}" for cell, width in zip(cells, widths, strict=True)).rstrip()
+    return table_lines(headings, (tuple(map(one_line, row)) for row in rows))
 
 
 def _plain(parameter: NodeParameter) -> dict[str, Any]:
@@ -126,15 +126,8 @@ def _read(engine: RemoteEngine, arguments: Namespace, *names: str, whole: bool =
 
 def _chosen(engine: RemoteEngine, node: str) -> str:
     sides = result(engine.do(ListParameterNodes()))
-    found = [side.link for side in sides if node in {each.name for each in side.nodes}]
-    if len(found) > 1:
-        options = "; ".join(f"--link {link}" if link else "--here" for link in found)
-        raise UsageError(ParamsText.SEVERAL(count=len(found), node=node, options=options))
-    if not found:
-        known = ", ".join(sorted({each.name for side in sides for each in side.nodes})) or "none"
-        problems = "".join(f" ({side.link}: {side.problem})" for side in sides if side.problem)
-        raise UsageError(ParamsText.UNKNOWN(node=node, problems=problems, known=known))
-    return found[0]
+    names = [(side.link, name) for side in sides for name in {each.name for each in side.nodes}]
+    return chosen_side(node, names, sides, several=ParamsText.SEVERAL, unknown=ParamsText.UNKNOWN)
 
 
 def get_all(arguments: Namespace) -> int:

@@ -6,18 +6,21 @@ from typing import TYPE_CHECKING
 
 from msgspec.structs import asdict
 
-from rsb_bridge.feature_api import EngineError, Wording, other_side
+from rsb_bridge.feature_api import EngineError, Wording
 from rsb_console.feature_console import (
     FAILURE,
     OK,
     UsageError,
     agreed,
     attached,
+    chosen_side,
     done,
     json_line,
     print_error,
     print_line,
     result,
+    side_of,
+    table_lines,
 )
 from rsb_console.notation import formats
 from rsb_extras.units.unit_records import UnitText
@@ -32,6 +35,7 @@ if TYPE_CHECKING:
     from rsb_extras.units.unit_requests import UnitGroup
 
 _NOTHING = "-"
+HEADINGS = "UNIT", "SIDE", "STATE", "AGE", "ACTIONS"
 
 
 class UnitsCommandText(Wording):
@@ -42,11 +46,6 @@ class UnitsCommandText(Wording):
     ASK = "{action} unit {name} of {side}?"
     ENDED = "unit {name} of {side}: {text}"
     PROBLEM = "{side}: {problem}"
-
-
-def side_of(role: str, link: str) -> str:
-    """Return a side in words: this one if the link is empty."""
-    return other_side(role, link) if link else "this side"
 
 
 def state_text(unit: UnitRecord) -> str:
@@ -95,27 +94,15 @@ def _lines(role: str, groups: Sequence[UnitGroup]) -> Iterator[str]:
         for group in groups
         for unit in group.units
     ]
-    if not rows:
-        yield UnitsCommandText.NONE()
-        return
-    rows.insert(0, ("UNIT", "SIDE", "STATE", "AGE", "ACTIONS"))
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    for row in rows:
-        yield "  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True)).rstrip()
+    return table_lines(HEADINGS, rows) if rows else iter([UnitsCommandText.NONE()])
 
 
 def _chosen(arguments: Namespace, groups: Sequence[UnitGroup]) -> str:
     """Return the link whose other side has the unit, or an empty string for this side."""
     sides = [group for group in groups if not (arguments.here and group.link)]
-    found = [group.link for group in sides for unit in group.units if unit.name == arguments.unit]
-    if len(found) > 1:
-        options = "; ".join(f"--link {link}" if link else "--here" for link in found)
-        raise UsageError(UnitsCommandText.SEVERAL(count=len(found), name=arguments.unit, options=options))
-    if not found:
-        known = ", ".join(sorted({unit.name for group in sides for unit in group.units})) or "none"
-        problems = "".join(f" ({group.link}: {group.problem})" for group in sides if group.problem)
-        raise UsageError(UnitsCommandText.UNKNOWN(name=arguments.unit, problems=problems, known=known))
-    return found[0]
+    names = [(group.link, unit.name) for group in sides for unit in group.units]
+    texts = UnitsCommandText
+    return chosen_side(arguments.unit, names, sides, several=texts.SEVERAL, unknown=texts.UNKNOWN)
 
 
 def _control(engine: RemoteEngine, arguments: Namespace, link: str) -> int:

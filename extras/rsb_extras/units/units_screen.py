@@ -19,11 +19,12 @@ from rsb_console.feature_console import (
     Dialog,
     FixedLines,
     ScrolledLines,
+    side_of,
     wrapped,
 )
 from rsb_extras.units.unit_records import UnitAction, UnitOutcome, UnitText
 from rsb_extras.units.unit_requests import ControlUnit, ListUnits
-from rsb_extras.units.units_command import UnitsCommandText, actions_text, age_text, side_of, state_text
+from rsb_extras.units.units_command import HEADINGS, UnitsCommandText, actions_text, age_text, state_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -72,7 +73,7 @@ class UnitRow(NamedTuple):
 
 
 class UnitsTable(CellTable[UnitRow]):
-    HEADINGS = "UNIT", "SIDE", "STATE", "AGE", "ACTIONS"
+    HEADINGS = HEADINGS
 
     def cells(self, row: UnitRow) -> tuple[tuple[str, str], ...]:
         unit = row.unit

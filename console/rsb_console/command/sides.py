@@ -1,0 +1,66 @@
+"""What both sides of links have, in the shell: a table of it, and the side that has what an operator names."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol
+
+from rsb_bridge.model.names import other_side
+from rsb_console.command.target import UsageError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+
+    from rsb_bridge.model.wording import Wording
+
+
+class SideAnswer(Protocol):
+    """The answer of one side.
+
+    Attributes:
+        link: the link to it, or empty for this side.
+        problem: why nothing is known of it, or empty.
+    """
+
+    @property
+    def link(self) -> str: ...
+    @property
+    def problem(self) -> str: ...
+
+
+def side_of(role: str, link: str) -> str:
+    """Return a side in words: this one if the link is empty."""
+    return other_side(role, link) if link else "this side"
+
+
+def table_lines(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> Iterator[str]:
+    """Yield the lines of a table whose columns are as wide as their widest cells."""
+    table = [headings, *rows]
+    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+    for cells in table:
+        yield "  ".join(f"{cell:<{width}}" for cell, width in zip(cells, widths, strict=True)).rstrip()
+
+
+def chosen_side(
+    name: str, listed: Iterable[tuple[str, str]], sides: Iterable[SideAnswer], *, several: Wording, unknown: Wording
+) -> str:
+    """Return the link whose other side has what is named, or an empty string for this side.
+
+    Args:
+        listed: links and names of all that there is.
+        sides: the sides that were asked.
+        several: says that `count` sides have a `name`; choose one of `options`.
+        unknown: says that there is no `name`, with the sides' `problems`, and what is `known`.
+
+    Raises:
+        UsageError: no side has it, or several.
+    """
+    every = [*listed]
+    found = [link for link, each in every if each == name]
+    if len(found) > 1:
+        options = "; ".join(f"--link {link}" if link else "--here" for link in found)
+        raise UsageError(several(count=len(found), name=name, options=options))
+    if not found:
+        known = ", ".join(sorted({each for _, each in every})) or "none"
+        problems = "".join(f" ({side.link}: {side.problem})" for side in sides if side.problem)
+        raise UsageError(unknown(name=name, problems=problems, known=known))
+    return found[0]
