@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from rsb_console.screens.filtered_screen import FilteredScreen
     from rsb_console.screens.main import MainScreen
     from rsb_console.screens.message_screen import MessageView
+    from rsb_console.screens.sides_screen import SidesScreen, asked_link
     from rsb_console.session.parameter_files import WrittenValue, parameters_text, read_parameter_file
     from rsb_console.session.parameter_values import parameter_value, shown_value
     from rsb_console.terminal.input_queue import DIALOG, GuardedScreen
@@ -105,6 +106,7 @@ _NAMES = {
     "rsb_console.screens.dialog": ("ConfirmScreen", "Dialog", "FullScreen", "SideBox"),
     "rsb_console.screens.filtered_screen": ("FilteredScreen",),
     "rsb_console.screens.main": ("MainScreen",),
+    "rsb_console.screens.sides_screen": ("SidesScreen", "asked_link"),
     "rsb_console.screens.message_screen": ("MessageView",),
     "rsb_console.session.parameter_files": ("WrittenValue", "parameters_text", "read_parameter_file"),
     "rsb_console.session.parameter_values": ("parameter_value", "shown_value"),

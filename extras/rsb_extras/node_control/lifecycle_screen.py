@@ -6,7 +6,6 @@ import asyncio
 from typing import TYPE_CHECKING, ClassVar
 
 from textual.binding import Binding
-from textual.screen import ModalScreen
 
 from rsb_bridge.feature_api import Effect, EngineError, Wording
 from rsb_console.feature_console import (
@@ -16,9 +15,9 @@ from rsb_console.feature_console import (
     CellTable,
     ConfirmScreen,
     Dialog,
-    FixedLines,
     ScrolledLines,
-    side_of,
+    SidesScreen,
+    asked_link,
     wrapped,
 )
 from rsb_extras.node_control.change_records import GOALS, ChangeText
@@ -35,9 +34,6 @@ if TYPE_CHECKING:
     from rsb_extras.node_control.change_records import ChangeAction, ChangeOutcome, LifecycleAction
     from rsb_extras.node_control.change_requests import ManagedSide
 
-_RENEWED_EVERY = 1.0  # s; the bridges look at the nodes as often
-_MOST_LINKS = 8
-"""Links of a server that are asked each time; with more, only that of the topic under the cursor. A round figure."""
 _LOOKS = {"active": "ok", "inactive": "waiting", "unconfigured": "waiting", "finalized": "down"}
 _INDENT = "    "  # below a step
 _WIDTH = 76  # cells, until the screen is laid out
@@ -48,8 +44,6 @@ _KEYS: dict[str, LifecycleAction] = {
 
 
 class LifecycleScreenText(Wording):
-    ASKING = "asking both sides"
-    NO_SESSION = "no session runs"
     READ_ONLY = "this console is read-only"
     NO_RIGHT = "no right to change {name}: {side} gives it by may: {{nodes: [{name}]}} in its session file"
     NOT_OFFERED = "{name} is {state}: it offers {offers} now"
@@ -66,7 +60,7 @@ class LifecycleTable(CellTable[LifecycleRow]):
         return (row.name, look), (row.side, ""), (row.state, _LOOKS.get(row.state, "")), (_keys_of(row), "dim")
 
 
-class LifecycleScreen(ModalScreen[None]):
+class LifecycleScreen(SidesScreen["ManagedSide"]):
     """Managed nodes and groups of this side and of its links, and how the last change of each has gone.
 
     Args:
@@ -74,49 +68,25 @@ class LifecycleScreen(ModalScreen[None]):
         node: on which the cursor is to be, or empty.
     """
 
-    BINDINGS: ClassVar = [
-        Binding("escape,q", "dismiss", show=False),
-        *(Binding(key, f"change({action!r})", show=False) for key, action in _KEYS.items()),
-    ]
+    BINDINGS: ClassVar = [Binding(key, f"change({action!r})", show=False) for key, action in _KEYS.items()]
     AUTO_FOCUS = "#lifecycle"
+    EVERY = 1.0  # the bridges look at the nodes as often
     DEFAULT_CSS = """
-    #lifecycle-problems { margin-bottom: 1; background: $surface; }
     #lifecycle { height: 1fr; background: $surface; }
     #lifecycle-steps { max-height: 40%; margin-top: 1; background: $surface; }
     """
 
     def __init__(self, console: Console, link: str, node: str = "") -> None:
-        super().__init__()
-        self.console = console
-        self._link, self._wanted = link, node and f"{link} {node}"
+        super().__init__(console, link)
+        self._wanted = node and f"{link} {node}"
         self._sides: Sequence[ManagedSide] = ()
-        self.table, self.problems = LifecycleTable(id="lifecycle"), FixedLines(id="lifecycle-problems")
-        self.steps = ScrolledLines(id="lifecycle-steps")
+        self.table, self.steps = LifecycleTable(id="lifecycle"), ScrolledLines(id="lifecycle-steps")
 
     def compose(self) -> ComposeResult:
         yield Dialog("Lifecycle", self.problems, self.table, self.steps, keys=HELP, shape="-high")
 
-    def on_mount(self) -> None:
-        self.problems.put([((LifecycleScreenText.ASKING(), "dim"),)])
-        self.set_interval(_RENEWED_EVERY, self.renew)
-        self._fetching = self.run_worker(self._fetch(), group="lifecycle")
-
-    def renew(self) -> None:
-        """Ask again, unless an answer is still due, perhaps over a thin line."""
-        if self._fetching.is_finished:
-            self._fetching = self.run_worker(self._fetch(), group="lifecycle")
-
-    async def _fetch(self) -> None:
-        engine = self.console.engine
-        if engine is None:
-            self.problems.put([((LifecycleScreenText.NO_SESSION(), "down"),)])
-            return
-        try:
-            sides = await asyncio.wrap_future(engine.do(ListManaged(self._link)))
-        except EngineError as error:
-            self.problems.put([((str(error), "down"),)])
-        else:
-            self.show(sides)
+    def request(self) -> ListManaged:
+        return ListManaged(self.link)
 
     def show(self, sides: Sequence[ManagedSide]) -> None:
         role, self._sides = self.console.snapshot().role, sides
@@ -124,14 +94,7 @@ class LifecycleScreen(ModalScreen[None]):
         if self._wanted in self.table.keys:
             self.table.move_to(self.table.keys.index(self._wanted))
             self._wanted = ""
-        problems = [
-            ((LifecycleText.PROBLEM(side=side_of(role, side.link), problem=side.problem), "down"),)
-            for side in sides
-            if side.problem
-        ]
-        if not problems and self.table.selected is None:
-            problems = [((LifecycleText.NONE(), "dim"),)]
-        self.problems.put(problems)
+        self.show_problems(sides, LifecycleText.NONE(), is_empty=self.table.selected is None)
         self.show_steps()
 
     def show_steps(self) -> None:
@@ -152,14 +115,14 @@ class LifecycleScreen(ModalScreen[None]):
             return
         last = outcomes(self._sides).get(row.key)
         if self.console.readonly:
-            self._warn(LifecycleScreenText.READ_ONLY())
+            self.warn(LifecycleScreenText.READ_ONLY())
         elif last is not None and not last[1].is_over:
-            self._warn(LifecycleScreenText.WAIT(name=row.name, action=last[0]))
+            self.warn(LifecycleScreenText.WAIT(name=row.name, action=last[0]))
         elif not row.allowed:
-            self._warn(LifecycleScreenText.NO_RIGHT(name=row.name, side=row.side))
+            self.warn(LifecycleScreenText.NO_RIGHT(name=row.name, side=row.side))
         elif not row.nodes and action not in ("up", "down", *row.actions):
             offers = ", ".join(row.actions) or "nothing"
-            self._warn(LifecycleScreenText.NOT_OFFERED(name=row.name, state=row.state, offers=offers))
+            self.warn(LifecycleScreenText.NOT_OFFERED(name=row.name, state=row.state, offers=offers))
         else:
             self.run_worker(self._ask(row, action), group=DIALOG)
 
@@ -171,9 +134,6 @@ class LifecycleScreen(ModalScreen[None]):
         if await self.console.ask(question) is True and (engine := self.console.engine) is not None:
             # Not in this worker, for which keys wait, nor of this screen, which may be closed before the end.
             self.app.run_worker(_change(self, engine, row, action), group="node-changes")
-
-    def _warn(self, text: str) -> None:
-        self.console.notify(text, severity="warning", markup=False, timeout=8)
 
 
 async def _change(screen: LifecycleScreen, engine: EngineApi, row: LifecycleRow, action: LifecycleAction) -> None:
@@ -220,9 +180,7 @@ def _keys_of(row: LifecycleRow) -> str:
 
 async def show_lifecycle(screen: MainScreen) -> None:
     """Show managed nodes and groups; on a server of many links, those of the topic's robot."""
-    console, row = screen.console, screen.topics.selected
-    many = len(console.snapshot().links) > _MOST_LINKS
-    await console.ask(LifecycleScreen(console, row.link if many and row is not None else ""))
+    await screen.console.ask(LifecycleScreen(screen.console, asked_link(screen)))
 
 
 async def lifecycle_of_node(console: Console, link: str, node: str) -> None:

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple, TypeAlias
 from weakref import WeakKeyDictionary
 
 from textual.binding import Binding
-from textual.screen import ModalScreen
 
 from rsb_bridge.feature_api import Effect, EngineError, Wording
 from rsb_console.feature_console import (
@@ -17,8 +16,9 @@ from rsb_console.feature_console import (
     CellTable,
     ConfirmScreen,
     Dialog,
-    FixedLines,
     ScrolledLines,
+    SidesScreen,
+    asked_link,
     side_of,
     wrapped,
 )
@@ -38,9 +38,6 @@ if TYPE_CHECKING:
     from rsb_extras.units.unit_requests import UnitGroup
 
 _WIDTH = 76  # cells, until the screen is laid out
-_RENEWED_EVERY = 2.0  # s; a round figure: a bridge looks for states each 5 s at most
-_MOST_LINKS = 8
-"""Links of a server that are asked each time; with more, only that of the topic under the cursor. A round figure."""
 _LOOKS = {"running": "ok", "stopped": "waiting", "failed": "down", "unknown": "unknown"}
 HELP = "x restart   s start   S stop   esc close"
 _Results: TypeAlias = dict[str, tuple[UnitAction, UnitOutcome | None]]
@@ -50,7 +47,6 @@ _results: WeakKeyDictionary[EngineApi, _Results] = WeakKeyDictionary()
 
 
 class UnitsScreenText(Wording):
-    ASKING = "asking both sides"
     READ_ONLY = "this console is read-only"
     NO_ACTION = "unit {name} has no {action}: it has {actions}"
     RESTART = "Its nodes end and start again. What they move has to be safe without them."
@@ -81,66 +77,37 @@ class UnitsTable(CellTable[UnitRow]):
         return (unit.name, "strong"), (row.side, ""), state, (age_text(unit), "dim"), (actions_text(unit), "")
 
 
-class UnitsScreen(ModalScreen[None]):
+class UnitsScreen(SidesScreen["UnitGroup"]):
     """The units of this side and of its links, and how the last action on each has ended."""
 
     BINDINGS: ClassVar = [
-        Binding("escape,q", "dismiss", show=False),
         Binding("x", "control('restart')", show=False),
         Binding("s", "control('start')", show=False),
         Binding("S", "control('stop')", show=False),
     ]
     AUTO_FOCUS = "#units"
+    EVERY = 2.0  # a round figure: a bridge looks for states each 5 s at most
     DEFAULT_CSS = """
-    #units-problems { margin-bottom: 1; background: $surface; }
     #units { height: 1fr; background: $surface; }
     #units-outcome { max-height: 50%; margin-top: 1; background: $surface; }
     """
 
     def __init__(self, main: MainScreen, link: str) -> None:
-        super().__init__()
-        self.main, self.console = main, main.console
-        self._link = link
-        self.table, self.problems = UnitsTable(id="units"), FixedLines(id="units-problems")
+        super().__init__(main.console, link)
+        self.main, self.table = main, UnitsTable(id="units")
         self.outcome = ScrolledLines(id="units-outcome")
 
     def compose(self) -> ComposeResult:
         yield Dialog("Units", self.problems, self.table, self.outcome, keys=HELP, shape="-high")
 
-    def on_mount(self) -> None:
-        self.problems.put([((UnitsScreenText.ASKING(), "dim"),)])
-        self.set_interval(_RENEWED_EVERY, self.renew)
-        self._fetching = self.run_worker(self._fetch(), group="units")
-
-    def renew(self) -> None:
-        """Ask again, unless an answer is still due, perhaps over a thin line."""
-        if self._fetching.is_finished:
-            self._fetching = self.run_worker(self._fetch(), group="units")
-
-    async def _fetch(self) -> None:
-        engine = self.console.engine
-        if engine is None:
-            self.problems.put([(("no session runs", "down"),)])
-            return
-        try:
-            groups = await asyncio.wrap_future(engine.do(ListUnits(self._link)))
-        except EngineError as error:
-            self.problems.put([((str(error), "down"),)])
-        else:
-            self.show(groups)
+    def request(self) -> ListUnits:
+        return ListUnits(self.link)
 
     def show(self, groups: Sequence[UnitGroup]) -> None:
         role = self.console.snapshot().role
         sides = [(group, side_of(role, group.link)) for group in groups]
         self.table.show([UnitRow(group.link, side, unit) for group, side in sides for unit in group.units])
-        problems = [
-            ((UnitsCommandText.PROBLEM(side=side, problem=group.problem), "down"),)
-            for group, side in sides
-            if group.problem
-        ]
-        if not problems and self.table.selected is None:
-            problems = [((UnitsCommandText.NONE(), "dim"),)]
-        self.problems.put(problems)
+        self.show_problems(groups, UnitsCommandText.NONE(), is_empty=self.table.selected is None)
         self.show_outcome()
 
     @property
@@ -161,12 +128,12 @@ class UnitsScreen(ModalScreen[None]):
         if row is None or not self.table.is_seen():
             return
         if self.console.readonly:
-            self._warn(UnitsScreenText.READ_ONLY())
+            self.warn(UnitsScreenText.READ_ONLY())
         elif action not in row.unit.actions:
             actions = ", ".join(row.unit.actions) or "none"
-            self._warn(UnitsScreenText.NO_ACTION(name=row.unit.name, action=action, actions=actions))
+            self.warn(UnitsScreenText.NO_ACTION(name=row.unit.name, action=action, actions=actions))
         elif (last := self.results.get(row.key)) is not None and last[1] is None:
-            self._warn(UnitsScreenText.WAIT(name=row.unit.name, action=last[0]))
+            self.warn(UnitsScreenText.WAIT(name=row.unit.name, action=last[0]))
         else:
             self.run_worker(self._ask(row, action), group=DIALOG)
 
@@ -179,9 +146,6 @@ class UnitsScreen(ModalScreen[None]):
             self.show_outcome()
             # Not in this worker, for which keys wait, nor of this screen, which may be closed before the end.
             self.main.run_worker(_control(self.main, engine, row, action), group="unit-actions")
-
-    def _warn(self, text: str) -> None:
-        self.console.notify(text, severity="warning", markup=False, timeout=8)
 
 
 async def _control(main: MainScreen, engine: EngineApi, row: UnitRow, action: UnitAction) -> None:
@@ -219,6 +183,4 @@ def _lines(row: UnitRow, action: UnitAction, outcome: UnitOutcome | None, width:
 
 
 async def show_units(screen: MainScreen) -> None:
-    console, row = screen.console, screen.topics.selected
-    many = len(console.snapshot().links) > _MOST_LINKS
-    await console.ask(UnitsScreen(screen, row.link if many and row is not None else ""))
+    await screen.console.ask(UnitsScreen(screen, asked_link(screen)))

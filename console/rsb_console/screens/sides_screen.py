@@ -1,0 +1,103 @@
+"""A screen of what both sides of links have, which asks the engine for it again and again."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING, ClassVar, Generic, TypeVar
+
+from textual.binding import Binding
+from textual.screen import ModalScreen
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.model.wording import Wording
+from rsb_console.command.sides import SideAnswer, side_of
+from rsb_console.widgets.lines import FixedLines
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from rsb_bridge.model.commands import Command
+    from rsb_console.console_api import Console
+    from rsb_console.screens.main import MainScreen
+
+S = TypeVar("S", bound=SideAnswer)
+
+_MOST_LINKS = 8
+"""Links of a server that are asked each time; with more, only that of the topic under the cursor. A round figure."""
+
+
+class SidesText(Wording):
+    ASKING = "asking both sides"
+    NO_SESSION = "no session runs"
+    PROBLEM = "{side}: {problem}"
+
+
+class SidesScreen(ModalScreen[None], Generic[S]):
+    """What this side and the other sides of its links have, asked for each `EVERY` s. Subclasses show it.
+
+    Args:
+        link: whose other side is asked, or empty for all.
+    """
+
+    BINDINGS: ClassVar = [Binding("escape,q", "dismiss", show=False)]
+    DEFAULT_CSS = """
+    #side-problems { margin-bottom: 1; background: $surface; }
+    """
+    EVERY: ClassVar[float]
+
+    def __init__(self, console: Console, link: str) -> None:
+        super().__init__()
+        self.console = console
+        self.link = link
+        self.problems = FixedLines(id="side-problems")
+
+    def request(self) -> Command[tuple[S, ...]]:
+        """Return what the engine is asked."""
+        raise NotImplementedError
+
+    def show(self, sides: Sequence[S]) -> None:
+        """Show an answer."""
+        raise NotImplementedError
+
+    def on_mount(self) -> None:
+        self.problems.put([((SidesText.ASKING(), "dim"),)])
+        self.set_interval(self.EVERY, self.renew)
+        self._fetching = self.run_worker(self._fetch(), group="sides")
+
+    def renew(self) -> None:
+        """Ask again, unless an answer is still due, perhaps over a thin line."""
+        if self._fetching.is_finished:
+            self._fetching = self.run_worker(self._fetch(), group="sides")
+
+    async def _fetch(self) -> None:
+        engine = self.console.engine
+        if engine is None:
+            self.problems.put([((SidesText.NO_SESSION(), "down"),)])
+            return
+        try:
+            sides = await asyncio.wrap_future(engine.do(self.request()))
+        except EngineError as error:
+            self.problems.put([((str(error), "down"),)])
+        else:
+            self.show(sides)
+
+    def show_problems(self, sides: Sequence[S], none: str, *, is_empty: bool) -> None:
+        """Show the problems of the sides, or `none` if there are none and nothing is listed."""
+        role = self.console.snapshot().role
+        problems = [
+            ((SidesText.PROBLEM(side=side_of(role, side.link), problem=side.problem), "down"),)
+            for side in sides
+            if side.problem
+        ]
+        if not problems and is_empty:
+            problems = [((none, "dim"),)]
+        self.problems.put(problems)
+
+    def warn(self, text: str) -> None:
+        self.console.notify(text, severity="warning", markup=False, timeout=8)
+
+
+def asked_link(screen: MainScreen) -> str:
+    """Return the link that a `SidesScreen` is to ask: of a server of many, that of the topic under the cursor."""
+    many, row = len(screen.console.snapshot().links) > _MOST_LINKS, screen.topics.selected
+    return row.link if many and row is not None else ""
