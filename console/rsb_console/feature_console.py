@@ -23,7 +23,7 @@ if TYPE_CHECKING:
         subcommand,
     )
     from rsb_console.command.shell import FAILURE, INTERRUPTED, OK, USAGE, print_error, print_line, print_lines
-    from rsb_console.command.sides import chosen_side, side_of, table_lines
+    from rsb_console.command.sides import chosen_side, table_lines
     from rsb_console.command.target import (
         NoBridgeError,
         UsageError,
@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from rsb_console.notation.console_setting import ConsoleSetting
     from rsb_console.notation.glyphs import DONE, FAILED, STATE_SIGN, STATE_WORD, sparkline
     from rsb_console.notation.link_fact import LinkFact
+    from rsb_console.notation.side_answer import side_of
     from rsb_console.notation.topic_column import TopicColumn
     from rsb_console.preferences import Preferences
     from rsb_console.screens.dialog import ConfirmScreen, Dialog, FullScreen, SideBox
@@ -84,7 +85,7 @@ _NAMES = {
         "subcommand",
     ),
     "rsb_console.command.shell": ("FAILURE", "INTERRUPTED", "OK", "USAGE", "print_error", "print_line", "print_lines"),
-    "rsb_console.command.sides": ("chosen_side", "side_of", "table_lines"),
+    "rsb_console.command.sides": ("chosen_side", "table_lines"),
     "rsb_console.command.target": (
         "NoBridgeError",
         "UsageError",
@@ -101,6 +102,7 @@ _NAMES = {
     "rsb_console.notation.console_setting": ("ConsoleSetting",),
     "rsb_console.notation.glyphs": ("DONE", "FAILED", "STATE_SIGN", "STATE_WORD", "sparkline"),
     "rsb_console.notation.link_fact": ("LinkFact",),
+    "rsb_console.notation.side_answer": ("side_of",),
     "rsb_console.notation.topic_column": ("TopicColumn",),
     "rsb_console.preferences": ("Preferences",),
     "rsb_console.screens.dialog": ("ConfirmScreen", "Dialog", "FullScreen", "SideBox"),

@@ -2,34 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
-from rsb_bridge.model.names import other_side
 from rsb_console.command.target import UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from rsb_bridge.model.wording import Wording
-
-
-class SideAnswer(Protocol):
-    """The answer of one side.
-
-    Attributes:
-        link: the link to it, or empty for this side.
-        problem: why nothing is known of it, or empty.
-    """
-
-    @property
-    def link(self) -> str: ...
-    @property
-    def problem(self) -> str: ...
-
-
-def side_of(role: str, link: str) -> str:
-    """Return a side in words: this one if the link is empty."""
-    return other_side(role, link) if link else "this side"
+    from rsb_console.notation.side_answer import SideAnswer
 
 
 def table_lines(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> Iterator[str]:

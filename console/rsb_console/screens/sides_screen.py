@@ -10,7 +10,7 @@ from textual.screen import ModalScreen
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.wording import Wording
-from rsb_console.command.sides import SideAnswer, side_of
+from rsb_console.notation.side_answer import SideAnswer, side_of
 from rsb_console.widgets.lines import FixedLines
 
 if TYPE_CHECKING:
