@@ -431,6 +431,10 @@ class Feature:
         """Return columns of the topics, each a `rsb_console.notation.topic_column.TopicColumn`."""
         return ()
 
+    def tiles(self) -> Iterable[Any]:
+        """Return tiles of lines beside pictures, subclasses of `rsb_console.widgets.tile_lines.TileLines`."""
+        return ()
+
     def link_facts(self) -> Iterable[Any]:
         """Return lines on links, each a `rsb_console.notation.link_fact.LinkFact`."""
         return ()

@@ -58,6 +58,7 @@ if TYPE_CHECKING:
     from rsb_console.widgets.lines import FixedLines, Line, ScrolledLines, clip, fit, wrapped
     from rsb_console.widgets.picker import Suggestion
     from rsb_console.widgets.selectable_list import SelectableList
+    from rsb_console.widgets.tile_lines import TileLines, added_tiles
 
 _NAMES = {
     "rsb_console.actions.all_actions": ("ACTIONS",),
@@ -120,5 +121,6 @@ _NAMES = {
     "rsb_console.widgets.lines": ("FixedLines", "Line", "ScrolledLines", "clip", "fit", "wrapped"),
     "rsb_console.widgets.picker": ("Suggestion",),
     "rsb_console.widgets.selectable_list": ("SelectableList",),
+    "rsb_console.widgets.tile_lines": ("TileLines", "added_tiles"),
 }
 __getattr__ = late_names(__name__, _NAMES)

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     import msgspec
 
     from rsb_bridge.feature_api import Bridge, EnginePart, Extension, Link
-    from rsb_console.feature_console import Action, AddCommand, Complete
+    from rsb_console.feature_console import Action, AddCommand, Complete, TileLines
 
 HEAR_ROSOUT = SessionKey("hear_rosout", bool, False, live=True)
 """Whether the bridge hears /rosout while nobody looks, so that a node that ends leaves its last lines."""
@@ -56,6 +56,11 @@ class NodesFeature(Feature):
         about = "also those without a fault in large namespaces, and those that ROS's tools hide"
         parser.add_argument("--all", action="store_true", help=about)
         bridge_options(parser, complete)
+
+    def tiles(self) -> Iterable[type[TileLines]]:
+        from rsb_extras.nodes.node_tile import NodeLines  # noqa: PLC0415
+
+        return (NodeLines,)
 
     def actions(self) -> Iterable[Action]:
         from rsb_console.feature_console import Action, Group, KeyChapter, late  # noqa: PLC0415

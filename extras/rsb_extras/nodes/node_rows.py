@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.feature_api import State, plural
 from rsb_bridge.model.verdict import duration
+from rsb_console.feature_console import STATE_SIGN
 from rsb_console.notation import formats
 from rsb_extras.nodes.node_data import FoundBy
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
+    from rsb_console.feature_console import Line
     from rsb_extras.nodes.node_data import LogLine, NameAndType, NodeDetails, NodeState, ProcessState
 
 UNKNOWN_MACHINE = "a machine that is not known"
@@ -43,6 +45,7 @@ LOOK = {
     NodeHealth.HIDDEN: State.RESTING,
 }
 """A state of topics with a like sign and colour."""
+_LOUD = frozenset(LOOK[each] for each in FAULTS)
 
 
 class NodeGroup(NamedTuple):
@@ -143,6 +146,23 @@ def figures(node: NodeState, processes: Mapping[int, ProcessState], shared: int 
 
 def line_text(line: LogLine, now: float) -> str:
     return f"{_LEVELS.get(line.level, f'level {line.level}')} {_ago(line.at, now)}: {line.text}"
+
+
+def node_line(node: NodeState, name: str, now: float, processes: Mapping[int, ProcessState], shared: int = 1) -> Line:
+    """Return a node's line on a screen: state, name, figures and its last line of the log.
+
+    Args:
+        shared: number of nodes in its process.
+    """
+    state = LOOK[health(node, now)]
+    about = "; ".join(filter(None, (status(node, now), figures(node, processes, shared))))
+    last = "" if node.line is None else f"  {line_text(node.line, now)}"
+    return (
+        (f"{STATE_SIGN[state]} ", state.value),
+        (f"{name}  ", ""),
+        (about, "dim"),
+        (last, state.value if state in _LOUD else "dim"),
+    )
 
 
 def detail_lines(details: NodeDetails, shared: int = 1) -> list[tuple[str, str]]:

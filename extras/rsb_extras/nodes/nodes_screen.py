@@ -14,7 +14,6 @@ from rsb_bridge.feature_api import EngineError, Wording
 from rsb_console.feature_console import (
     ACTIONS,
     DIALOG,
-    STATE_SIGN,
     Dialog,
     FilteredScreen,
     FixedLines,
@@ -27,9 +26,9 @@ from rsb_console.feature_console import (
     fit,
 )
 from rsb_extras.nodes import node_rows
-from rsb_extras.nodes.node_book import NodeBook
-from rsb_extras.nodes.node_data import Nodes, OneNode
-from rsb_extras.nodes.node_rows import FAULTS, LOOK, NodeGroup
+from rsb_extras.nodes.node_data import OneNode
+from rsb_extras.nodes.node_feed import NodeFeed
+from rsb_extras.nodes.node_rows import FAULTS, NodeGroup
 
 if TYPE_CHECKING:
     from textual.app import ComposeResult
@@ -52,13 +51,10 @@ _DETAIL_HELP = "t its topics   j k scroll   esc back"
 class NodesScreenText(Wording):
     """Texts of the screen."""
 
-    ASKING = "asking {side}"
-    NO_SESSION = "no session runs"
     NONE = "no node"
     NO_MATCH = "no match"
     NO_PUBLISHER = "no node is known to publish {topic}"
     NO_TOPICS = "{node} publishes and hears nothing that is shown"
-    THIS_SIDE = "this side"
 
 
 class NodeTable(SelectableList):
@@ -106,11 +102,8 @@ class NodesScreen(FilteredScreen[str | None]):
         super().__init__(Prompt(""))
         self.console = console
         self.summary, self.table = FixedLines(id="nodes-summary"), NodeTable()
-        self.book = NodeBook()
-        self._sides, self._side, self._topic = sides, side, topic
-        self._at = (0, 0)
-        self._now = 0
-        self._problem = ""
+        self.feed = NodeFeed(console, side)
+        self._sides, self._topic = sides, topic
         self._faults_only = False
         self._folds: dict[str, bool] = {}  # as the operator has left them
         self._wanted = ""  # node that the cursor is to be on
@@ -130,56 +123,42 @@ class NodesScreen(FilteredScreen[str | None]):
             self._ask()
 
     def _ask(self) -> None:
-        self._fetching = self.run_worker(self._fetch(self._side), exclusive=True, group="nodes")
+        self._fetching = self.run_worker(self._fetch(self.feed), exclusive=True, group="nodes")
 
-    async def _fetch(self, side: str | None) -> None:
-        """Request what has changed from the engine, which may run in another process."""
-        engine = self.console.engine
-        if engine is None:
-            self._problem = NodesScreenText.NO_SESSION()
-        else:
-            try:
-                if self._topic:
-                    topic, self._topic = self._topic, ""
-                    found = await asyncio.wrap_future(engine.do(OneNode(side, topic=topic)))
-                    if found.state is None:
-                        self.notify(NodesScreenText.NO_PUBLISHER(topic=topic), markup=False)
-                    else:
-                        self._wanted = found.state.name
-                changes = await asyncio.wrap_future(engine.do(Nodes(side, *self._at)))
-            except EngineError as error:
-                self._problem = str(error)
-            else:
-                self._at, self._now, self._problem = (changes.book, changes.number), changes.now, changes.why_not
-                self.book.take(changes, changes.now)
+    async def _fetch(self, feed: NodeFeed) -> None:
+        if self._topic:
+            topic, self._topic = self._topic, ""
+            await self._want_publisher(topic)
+        await feed.renew()
         self.show()
+
+    async def _want_publisher(self, topic: str) -> None:
+        """Have the cursor go to the node that publishes a topic."""
+        if (found := await self._details(topic=topic)) is not None:
+            if found.state is None:
+                self.notify(NodesScreenText.NO_PUBLISHER(topic=topic), markup=False)
+            else:
+                self._wanted = found.state.name
 
     # --- what is shown
 
     def show(self) -> None:
-        parts = ["Nodes", self._side_name, "faults only" if self._faults_only else ""]
+        feed = self.feed
+        parts = ["Nodes", feed.side_name, "faults only" if self._faults_only else ""]
         parts.append("" if self.pattern is None else f"/{self.pattern.text}")
         self.query_one(Dialog).border_title = " ▸ ".join(filter(None, parts))
-        if self._problem or not self._at[0]:
-            text = self._problem or NodesScreenText.ASKING(side=self._side_name)
-            self.summary.put([((text, "down" if self._problem else "dim"),)])
-        else:
-            self.summary.put([((node_rows.counts(self.book.nodes.values(), self._now), ""),)])
+        self.summary.put([feed.summary])
         self.table.show(self._tree())
         if self._wanted in self.table.keys:
             self.table.move_to(self.table.keys.index(self._wanted))
             self._wanted = ""
 
-    @property
-    def _side_name(self) -> str:
-        return NodesScreenText.THIS_SIDE() if self._side is None else self._side
-
     def _tree(self) -> dict[str, Line]:
         """Return the lines of the tree by their keys."""
-        shown = [node for node in self.book.nodes.values() if self._is_shown(node)]
-        found = node_rows.groups(shown, self._now)
+        shown = [node for node in self.feed.book.nodes.values() if self._is_shown(node)]
+        found = node_rows.groups(shown, self.feed.now)
         self._groups = {group.key: group for group in found}
-        shared = node_rows.sharing(self.book.nodes.values())
+        shared = node_rows.sharing(self.feed.book.nodes.values())
         machine, lines = "", dict[str, Line]()
         for group in found:
             if group.machine != machine:
@@ -190,35 +169,28 @@ class NodesScreen(FilteredScreen[str | None]):
             lines[group.key] = ((f" {'▸' if folded else '▾'} ", "dim"), (group.namespace, "strong"), (about, "dim"))
             if not folded:
                 width = max(len(node_rows.short_name(node)) for node in group.nodes)
-                lines |= {node.name: self._line(node, width, shared(node)) for node in group.nodes}
-        if not lines and self._at[0]:
+                for node in group.nodes:
+                    name = f"{node_rows.short_name(node):<{min(width, 40)}}"
+                    processes = self.feed.book.processes
+                    line = node_rows.node_line(node, name, self.feed.now, processes, shared(node))
+                    lines[node.name] = (("   ", ""), *line)
+        if not lines and self.feed.is_known:
             filtered = self.pattern is not None or self._faults_only
             lines[""] = (((NodesScreenText.NO_MATCH if filtered else NodesScreenText.NONE)(), "dim"),)
         return lines
 
-    def _line(self, node: NodeState, width: int, shared: int) -> Line:
-        state = LOOK[node_rows.health(node, self._now)]
-        about = [node_rows.status(node, self._now), node_rows.figures(node, self.book.processes, shared)]
-        line = "" if node.line is None else node_rows.line_text(node.line, self._now)
-        return (
-            (f"   {STATE_SIGN[state]} ", state.value),
-            (f"{node_rows.short_name(node):<{min(width, 40)}}  ", ""),
-            ("; ".join(filter(None, about)), "dim"),
-            (f"  {line}" if line else "", state.value if state in _LOUD else "dim"),
-        )
-
     def _is_shown(self, node: NodeState) -> bool:
-        if self._faults_only and node_rows.health(node, self._now) not in FAULTS:
+        if self._faults_only and node_rows.health(node, self.feed.now) not in FAULTS:
             return False
         if self.pattern is None:
             return True
         line = "" if node.line is None else node.line.text
-        return self.pattern.matches({"": f"{node.name} {node.machine} {node_rows.status(node, self._now)} {line}"})
+        return self.pattern.matches({"": f"{node.name} {node.machine} {node_rows.status(node, self.feed.now)} {line}"})
 
     def _is_folded(self, group: NodeGroup) -> bool:
         if self.pattern is not None or self._faults_only or any(node.name == self._wanted for node in group.nodes):
             return False
-        at_first = node_rows.is_folded_at_first(group, self._now, _FOLDED_FROM)
+        at_first = node_rows.is_folded_at_first(group, self.feed.now, _FOLDED_FROM)
         return self._folds.get(group.key, at_first)
 
     # --- keys
@@ -229,30 +201,30 @@ class NodesScreen(FilteredScreen[str | None]):
         if (group := self._groups.get(key)) is not None:
             self._folds[key] = not self._is_folded(group)
             self.show()
-        elif key in self.book.nodes:
+        elif key in self.feed.book.nodes:
             self.run_worker(self._open(key), exclusive=True, group="node")
 
     async def _open(self, name: str) -> None:
         details = await self._details(name)
         if details is None:
             return
-        shared = 1 if details.state is None else node_rows.sharing(self.book.nodes.values())(details.state)
+        shared = 1 if details.state is None else node_rows.sharing(self.feed.book.nodes.values())(details.state)
         if await self.console.ask(NodeScreen(name, node_rows.detail_lines(details, shared))):
             self._close_for(name, details)
 
-    async def _details(self, name: str) -> NodeDetails | None:
+    async def _details(self, node: str = "", topic: str = "") -> NodeDetails | None:
         engine = self.console.engine
         if engine is None:
             return None
         try:
-            return await asyncio.wrap_future(engine.do(OneNode(self._side, node=name)))
+            return await asyncio.wrap_future(engine.do(OneNode(self.feed.side, node, topic)))
         except EngineError as error:
             self.notify(str(error), severity="error", markup=False)
             return None
 
     def action_topics(self) -> None:
         """Show the topics of the node under the cursor in the table of topics."""
-        if (name := self.table.cursor_key or "") in self.book.nodes:
+        if (name := self.table.cursor_key or "") in self.feed.book.nodes:
             self.run_worker(self._show_topics(name), exclusive=True, group="node")
 
     async def _show_topics(self, name: str) -> None:
@@ -263,7 +235,8 @@ class NodesScreen(FilteredScreen[str | None]):
         topics = [each.name for each in (*details.publishes, *details.hears)]
         if topics:
             # Either side may have a name before them.
-            robot = f"robot:^{re.escape(self._side)}$ " if self._side is not None and len(self._sides) > 2 else ""
+            side = self.feed.side
+            robot = f"robot:^{re.escape(side)}$ " if side is not None and len(self._sides) > 2 else ""
             self.dismiss(f"{robot}topic:(?:{'|'.join(map(re.escape, topics))})$")
         else:
             self.notify(NodesScreenText.NO_TOPICS(node=name), markup=False)
@@ -271,8 +244,8 @@ class NodesScreen(FilteredScreen[str | None]):
     def action_on_node(self, name: str) -> None:
         """Do another feature's action on the node under the cursor."""
         node = self.table.cursor_key or ""
-        if node in self.book.nodes and self.table.is_seen():
-            self.run_worker(ON_NODE[name].run(self.console, self._side or "", node), group=DIALOG)
+        if node in self.feed.book.nodes and self.table.is_seen():
+            self.run_worker(ON_NODE[name].run(self.console, self.feed.side or "", node), group=DIALOG)
 
     def on_selectable_list_chosen(self) -> None:
         self.action_open()
@@ -283,8 +256,8 @@ class NodesScreen(FilteredScreen[str | None]):
 
     def action_side(self) -> None:
         """Show the next side."""
-        self._side = self._sides[(self._sides.index(self._side) + 1) % len(self._sides)]
-        self.book, self._at, self._problem = NodeBook(), (0, 0), ""
+        side = self._sides[(self._sides.index(self.feed.side) + 1) % len(self._sides)]
+        self.feed = NodeFeed(self.console, side)
         self.show()
         self._ask()
 
@@ -329,9 +302,6 @@ class NodeScreen(ModalScreen[bool]):
             for label, text in self._texts
             for number, part in enumerate(textwrap.wrap(text, width) or [""])
         )
-
-
-_LOUD = frozenset(LOOK[each] for each in FAULTS)
 
 
 async def show_nodes(screen: MainScreen) -> None:

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from rsb_bridge.feature_api import Bridge, Check, Command, ControlMessageBase, EnginePart, Extension, Link, Purpose
-    from rsb_console.feature_console import Action, AddCommand, Complete, ConsoleSetting, MessageView
+    from rsb_console.feature_console import Action, AddCommand, Complete, ConsoleSetting, MessageView, TileLines
 
 
 class Pictures(Feature):
@@ -58,6 +58,11 @@ class Pictures(Feature):
         from rsb_extras.pictures.layouts import LAYOUTS  # noqa: PLC0415
 
         return (LAYOUTS,)
+
+    def tiles(self) -> Iterable[type[TileLines]]:
+        from rsb_extras.pictures.own_tiles import LogLines, RatesLines  # noqa: PLC0415
+
+        return RatesLines, LogLines
 
     def actions(self) -> Iterable[Action]:
         from rsb_extras.pictures.picture_keys import LOOK  # noqa: PLC0415

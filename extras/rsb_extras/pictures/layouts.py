@@ -29,14 +29,12 @@ if TYPE_CHECKING:
 
     from rsb_console.feature_console import Console
 
-RATES, LOG = "rates", "log"
-"""Tiles that show no topic's messages, by the names that layouts have for them."""
 _Name = Annotated[str, Meta(min_length=1, max_length=255)]
 
 
 class LayoutText(Wording):
     NO_MAPPING = "layouts: give names with lists of tiles, like drive: [/camera/image_raw, /map, rates]"
-    NO_TILES = "layouts.{name}: give a list of topics, rates or log, or a mapping with robots and tiles"
+    NO_TILES = "layouts.{name}: give a list of topics and other tiles, or a mapping with robots and tiles"
     NO_TOPIC = "layouts.{name}.tiles[{at}]: give a topic, or topics"
 
 
@@ -44,7 +42,7 @@ class Subject(NamedTuple):
     """What a tile shows.
 
     Attributes:
-        topics: the topics, the first of which gives the kind of picture; or only `RATES` or `LOG`.
+        topics: the topics, the first of which gives the kind of picture; or only the name of a tile without a topic.
         link: the link to the side that publishes them, or an empty string if the engine is to find the side.
         type_name: of the first topic, or empty if it is unknown.
         layers: further topics of that side that can be laid over a map.

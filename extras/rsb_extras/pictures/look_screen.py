@@ -1,4 +1,4 @@
-"""Chooses what to look at: a topic of either side, bridged or not, a layout, the rates or the log."""
+"""Chooses what to look at: a topic of either side, bridged or not, a layout, or a tile without a topic."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ from textual import on, work
 from textual.widgets import Input
 
 from rsb_bridge.feature_api import EngineError, State, escape_text, other_side
-from rsb_console.feature_console import Suggestion
+from rsb_console.feature_console import Suggestion, added_tiles
 from rsb_extras.pictures.drawing import has_picture, is_layer, is_map
-from rsb_extras.pictures.layouts import LOG, RATES, Subject, layouts_for
+from rsb_extras.pictures.layouts import Subject, layouts_for
+from rsb_extras.pictures.own_tiles import RatesLines
 from rsb_extras.pictures.picture import Wish
 from rsb_extras.pictures.search_screen import SearchScreen
 
@@ -88,8 +89,8 @@ class LookScreen(SearchScreen[tuple[Subject, ...]]):
                 shown = ", ".join(tile.topics[0] for tile in tiles)
                 yield self._other(f"overview {side or 'here'}", escape_text(shown), *tiles)
         yield from self._topics(found)
-        yield self._other(RATES, "of all bridged topics", Subject((RATES,)))
-        yield self._other(LOG, "of this bridge", Subject((LOG,)))
+        for tile in added_tiles().values():
+            yield self._other(tile.name, tile.about, Subject((tile.name,)))
 
     def _overview(self, side: str) -> tuple[Subject, ...]:
         """Return tiles of a side's camera, map and speed, and of the rates; none if it has only one of these."""
@@ -101,7 +102,7 @@ class LookScreen(SearchScreen[tuple[Subject, ...]]):
                 info = min(infos, key=lambda each: (len(each.topic), each.topic))
                 layers = self._layers(side, info) if is_map(info.type_name) and not wish.how else ()
                 tiles.append(Subject((info.topic,), side, info.type_name, layers, wish))
-        return (*tiles, Subject((RATES,), side)) if len(tiles) > 1 else ()
+        return (*tiles, Subject((RatesLines.name,), side)) if len(tiles) > 1 else ()
 
     def _other(self, name: str, shown: str, *subjects: Subject) -> Suggestion:
         self._subjects[name] = subjects

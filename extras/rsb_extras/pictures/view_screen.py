@@ -1,4 +1,4 @@
-"""Tiles of a robot side by side: pictures of topics, rates and the log. One alone fills the screen."""
+"""Tiles of a robot side by side: pictures of topics, rates, the log, nodes. One alone fills the screen."""
 
 from __future__ import annotations
 
@@ -11,13 +11,14 @@ from textual.containers import Container
 from textual.geometry import Size, Spacing
 
 from rsb_bridge.feature_api import Wording
-from rsb_console.feature_console import DIALOG, Field, FormScreen, FullScreen, SideBox, Spec
+from rsb_console.feature_console import DIALOG, Field, FormScreen, FullScreen, SideBox, Spec, added_tiles
 from rsb_console.library_internals.textual_internals import DrawsChangesOnly
 from rsb_extras.pictures.drawing import is_layer
-from rsb_extras.pictures.layouts import LAYOUTS, LOG, RATES, Subject, as_written, written
+from rsb_extras.pictures.layouts import LAYOUTS, Subject, as_written, written
+from rsb_extras.pictures.line_tiles import LinesTile
 from rsb_extras.pictures.look_screen import LookScreen
 from rsb_extras.pictures.picture_tile import PictureTile
-from rsb_extras.pictures.tile import ON_ROBOT, LogTile, RatesTile, Tile
+from rsb_extras.pictures.tile import ON_ROBOT, Tile
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
     from rsb_console.feature_console import Console, MainScreen
     from rsb_extras.pictures.picture import Cells, Pixels, Series
 
-TILES = 9
+MOST_TILES = 9
 """Tiles on a screen: as many as one can look at. A round figure."""
 _LEAST = Size(36, 9)
 """Cells of a tile at least; where fewer are left, only the one with the focus is shown."""
@@ -92,7 +93,7 @@ class ViewScreen(FullScreen[bool], DrawsChangesOnly[bool]):
     def __init__(self, console: Console, *subjects: Subject) -> None:
         super().__init__()
         self.console = console
-        self._first = [_tile(console, subject) for subject in subjects[:TILES]]
+        self._first = [_tile(console, subject) for subject in subjects[:MOST_TILES]]
         self._box = Container(*self._first, id="tiles")
         self._is_zoomed = False
         self._given = Spacing()
@@ -217,8 +218,8 @@ class ViewScreen(FullScreen[bool], DrawsChangesOnly[bool]):
         tiles = [_tile(self.console, subject) for subject in chosen or ()]
         if not tiles:
             return
-        if len(self.tiles) + len(tiles) > TILES:
-            self.notify(TilesText.FULL(limit=TILES), severity="warning", markup=False)
+        if len(self.tiles) + len(tiles) > MOST_TILES:
+            self.notify(TilesText.FULL(limit=MOST_TILES), severity="warning", markup=False)
             return
         self._is_zoomed = False
         await self._box.mount(*tiles)
@@ -256,8 +257,8 @@ def _columns(count: int, size: Size) -> int:
 
 
 def _tile(console: Console, subject: Subject) -> Tile:
-    kinds: dict[str, type[Tile]] = {RATES: RatesTile, LOG: LogTile}
-    return kinds.get(subject.topics[0], PictureTile)(console, subject)
+    kind = LinesTile if subject.topics[0] in added_tiles() else PictureTile
+    return kind(console, subject)
 
 
 def view(console: Console, route: RouteSnapshot) -> ViewScreen:
@@ -268,7 +269,7 @@ def view(console: Console, route: RouteSnapshot) -> ViewScreen:
 
 
 async def look(screen: MainScreen) -> None:
-    """Look at topics of either side, bridged or not, at a layout, at rates or the log."""
+    """Look at topics of either side, bridged or not, at a layout, or at rates, the log and the like."""
     console = screen.console
     if console.engine is not None and (subjects := await console.ask(LookScreen(console))):
         screen.app.push_screen(ViewScreen(console, *subjects))

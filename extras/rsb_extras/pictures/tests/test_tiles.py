@@ -20,7 +20,7 @@ from rsb_extras.pictures.layouts import LayoutText, read_layouts, written
 from rsb_extras.pictures.look_requests import EndLook, LookAtTopics
 from rsb_extras.pictures.look_screen import LookScreen
 from rsb_extras.pictures.picture import Cells, Picture, Viewed
-from rsb_extras.pictures.view_screen import TILES, TilesText, ViewScreen
+from rsb_extras.pictures.view_screen import MOST_TILES, TilesText, ViewScreen
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -126,6 +126,19 @@ async def test_overview_is_camera_map_speed_rates(app: ConsoleApp, pilot: Pilot[
 
 
 @on_tiles()
+async def test_nodes_are_a_tile(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await choose(pilot, "nodes")
+    await shown(pilot, "10 nodes, 1 ended, 1 not active")
+    worst = [line for line in text(app).splitlines() if "/front/lidar_driver" in line or "/nav/planner_server" in line]
+    assert ["lidar" in line for line in worst] == [True, False]
+    assert "motor stalled" in worst[0]
+    await choose(pilot, CAMERA)
+    await pilot.press("z")
+    await until(pilot, lambda: in_sight(app) == [CAMERA], "the camera alone")
+    assert [tile.is_on for tile in screen_of(app).tiles] == [False, True]
+
+
+@on_tiles()
 async def test_tiles_do_not_overlap_and_fill_screen(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await overview(pilot)
     regions = [tile.region for tile in screen_of(app).tiles]
@@ -191,13 +204,13 @@ async def test_closing_and_adding_changes_layout(app: ConsoleApp, pilot: Pilot[N
 @on_tiles()
 async def test_more_tiles_than_fit_are_refused(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await overview(pilot)
-    while len(screen_of(app).tiles) < TILES:
+    while len(screen_of(app).tiles) < MOST_TILES:
         count = len(screen_of(app).tiles)
         await choose(pilot, "log")
         await until(pilot, lambda count=count: len(screen_of(app).tiles) > count, "one more tile")
     await choose(pilot, "log")
-    await notified(pilot, TilesText.FULL, limit=TILES)
-    assert len(screen_of(app).tiles) == TILES
+    await notified(pilot, TilesText.FULL, limit=MOST_TILES)
+    assert len(screen_of(app).tiles) == MOST_TILES
 
 
 @on_tiles()

@@ -1,0 +1,72 @@
+"""What a console knows of the nodes of one side, which grows by what has changed."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING
+
+from rsb_bridge.feature_api import EngineError, Wording
+from rsb_extras.nodes import node_rows
+from rsb_extras.nodes.node_book import NodeBook
+from rsb_extras.nodes.node_data import Nodes
+
+if TYPE_CHECKING:
+    from rsb_console.feature_console import Console, Line
+
+
+class NodeFeedText(Wording):
+    NO_SESSION = "no session runs"
+    ASKING = "asking {side}"
+    THIS_SIDE = "this side"
+
+
+class NodeFeed:
+    """Asks an engine, which may run in another process, for the nodes of one side.
+
+    Args:
+        side: name of the link to it, or None for this side.
+
+    Attributes:
+        book: the nodes so far.
+        now: when they were such (s).
+        problem: the reason why that is not renewed, for an operator, or empty.
+    """
+
+    def __init__(self, console: Console, side: str | None) -> None:
+        self.side = side
+        self.book = NodeBook()
+        self.now = 0
+        self.problem = ""
+        self._console = console
+        self._at = (0, 0)
+
+    async def renew(self) -> None:
+        engine = self._console.engine
+        if engine is None:
+            self.problem = NodeFeedText.NO_SESSION()
+            return
+        try:
+            changes = await asyncio.wrap_future(engine.do(Nodes(self.side, *self._at)))
+        except EngineError as error:
+            self.problem = str(error)
+            return
+        self._at, self.now, self.problem = (changes.book, changes.number), changes.now, changes.why_not
+        self.book.take(changes, changes.now)
+
+    @property
+    def is_known(self) -> bool:
+        """Whether that side has answered."""
+        return self._at[0] > 0
+
+    @property
+    def side_name(self) -> str:
+        return NodeFeedText.THIS_SIDE() if self.side is None else self.side
+
+    @property
+    def summary(self) -> Line:
+        """How many nodes there are, and how well, or why that is not known."""
+        if self.problem:
+            return ((self.problem, "down"),)
+        if not self.is_known:
+            return ((NodeFeedText.ASKING(side=self.side_name), "dim"),)
+        return ((node_rows.counts(self.book.nodes.values(), self.now), ""),)
