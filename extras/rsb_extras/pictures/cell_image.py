@@ -285,7 +285,9 @@ class _Pen:
 
     def _letters(self, x: int, y: int, first: int, text: str, colour: Rgb) -> None:
         if text:
-            at = x + first * self._cell[0], y + self._cell[1] // 2
+            # Its letters may be wider than cells: "now" at the end of an axis.
+            room = self._draw.im.size[0] - self._draw.textlength(text, self._font) - 1
+            at = max(0, min(x + first * self._cell[0], room)), y + self._cell[1] // 2
             self._draw.text(at, text, colour, self._font, anchor="lm", stroke_width=1, stroke_fill=self._paper)
 
 

@@ -14,6 +14,8 @@ import msgspec
 from rsb_extras.pictures.picture import Series
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from rsb_extras.pictures.picture import Cells, Curve, Pixels
 
 _FEW = 16
@@ -300,9 +302,18 @@ def _legend(curve: Curve, style: str, width: int, cursor: int | None) -> Row:
     highs = [value for value in curve.highs if value is not None]
     if curve.last is None or not lows:
         return Part("▪ ", style), Part(f"{curve.name}  no value"[: width - 2], "dim")
-    mean = "" if curve.mean is None else f"  mean {_number(curve.mean)}"
-    text = f"{curve.name}  {_number(curve.last)}  min {_number(min(lows))}{mean}  max {_number(max(highs))}"
-    return Part("▪ ", style), Part(text[: width - 2])
+    newest, lowest, highest = _number(curve.last), f"min {_number(min(lows))}", f"max {_number(max(highs))}"
+    mean = () if curve.mean is None else (f"mean {_number(curve.mean)}",)
+    return Part("▪ ", style), Part(_figures(curve.name, newest, (lowest, *mean, highest), (lowest, highest), width - 2))
+
+
+def _figures(name: str, newest: str, all_others: Sequence[str], few: Sequence[str], width: int) -> str:
+    """Return a number's name and figures, as many of these as have room."""
+    for others in (all_others, few, ()):
+        text = "  ".join((name, newest, *others))
+        if len(text) <= width:
+            return text
+    return f"{name[: max(0, width - len(newest) - 2)]}  {newest}"[:width]
 
 
 def _number(value: float) -> str:

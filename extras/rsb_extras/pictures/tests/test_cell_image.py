@@ -116,6 +116,15 @@ def test_plot_runs_through_its_values() -> None:
         assert any((round(x) + dx, round(y) + dy) in curve for dx in (-1, 0, 1) for dy in (-2, -1, 0, 1, 2)), at
 
 
+def test_text_wider_than_its_cells_is_not_cut_at_the_edge() -> None:
+    series = Series(0.0, 1.0, (Curve("x", (0.0, 1.0), (0.0, 1.0), 1.0, 0.5),))
+    inks = Inks(PAPER, {style: (200, 200, 200) for style in styles_in(series)}, (6.0, 20.0))
+    image = image_of(series, (40, 12), 2.0, inks)
+    row = 10 * 20  # below the axis: labels of time, the last of which is "now"
+    edge = {image.data[3 * (y * image.width + image.width - 1)] for y in range(row, row + 20)}
+    assert edge == {PAPER.background[0]}
+
+
 def test_plot_shows_cursor() -> None:
     series = Series(0.0, 0.1, (Curve("x", (0.0, 1.0), (0.0, 1.0), 1.0, 0.5),))
     assert drawn(series, cursor=7).data != drawn(series).data

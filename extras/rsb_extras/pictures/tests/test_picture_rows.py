@@ -78,6 +78,20 @@ def test_a_plot_fills_its_area() -> None:
     assert all(value in plot[-1] for value in ("59", "29.5"))
 
 
+@pytest.mark.parametrize(
+    ("width", "legend"),
+    [
+        (60, "▪ speed.x  59  min 0  mean 29.5  max 59"),
+        (30, "▪ speed.x  59  min 0  max 59"),
+        (26, "▪ speed.x  59"),
+        (10, "▪ spee  59"),
+    ],
+)
+def test_a_legend_has_whole_figures(width: int, legend: str) -> None:
+    curve = Curve("speed.x", tuple(map(float, range(60))), tuple(map(float, range(60))), 59.0, 29.5)
+    assert rows(Series(0.0, 0.5, (curve,)), width, 12)[-1] == legend
+
+
 def test_a_cursor_shows_a_columns_values() -> None:
     lows, highs = (1.0, 3.0), (2.0, 3.0)
     series = Series(0.0, 1.0, (Curve("x", lows, highs, 3.0),))
