@@ -118,7 +118,7 @@ def test_plot_runs_through_its_values() -> None:
 
 def test_text_wider_than_its_cells_is_not_cut_at_the_edge() -> None:
     series = Series(0.0, 1.0, (Curve("x", (0.0, 1.0), (0.0, 1.0), 1.0, 0.5),))
-    inks = Inks(PAPER, {style: (200, 200, 200) for style in styles_in(series)}, (6.0, 20.0))
+    inks = Inks(PAPER, dict.fromkeys(styles_in(series), (200, 200, 200)), (6.0, 20.0))
     image = image_of(series, (40, 12), 2.0, inks)
     row = 10 * 20  # below the axis: labels of time, the last of which is "now"
     edge = {image.data[3 * (y * image.width + image.width - 1)] for y in range(row, row + 20)}
