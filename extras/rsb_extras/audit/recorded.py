@@ -11,13 +11,12 @@ import sqlite3
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import yaml
-
 from rsb_bridge.cdr.description import DescriptionError, TypeDescription, hash_of_text, read_description
 from rsb_bridge.ros.native.rosidl_descriptions import installed_description
-from rsb_extras.audit.defined_types import DefinitionError, defined_type
 from rsb_extras.audit.padding import Padding, PaddingError
 from rsb_extras.audit.unanswered import GOAL_STATUS, SERVICE_EVENTS, SeenCalls, SeenGoals
+from rsb_extras.recording.reading.defined_types import DefinitionError, defined_type
+from rsb_extras.recording.reading.recorded_qos import LATCHED, RELIABLE, parsed_profiles, policy
 from rsb_extras.recording.reading.recording_files import StoredMessages, files_of
 from rsb_extras.recording.reading.stored_message import Damage, DamageError, RecordingError, UnreadableRecording
 
@@ -28,8 +27,7 @@ if TYPE_CHECKING:
     from rsb_extras.recording.reading.stored_message import StoredChannel
 
 _TOPICS = 10_000  # of a recording, with each publisher that it tells apart. A round figure
-_PROFILES, _ALL_PROFILES = 64 << 10, 1 << 20
-"""Bytes of one channel's QoS, and of all: 200 and 3,000 publishers. To parse 64 KiB takes 0.1 to 0.5 s."""
+_ALL_PROFILES = 1 << 20  # characters of all channels' QoS: 3,000 publishers
 _ALL_DEFINITIONS = 4 << 20  # bytes of all types' definitions: some 400 types
 _PARTS_AT_FIRST = 1_000_000
 """Parts of messages that are looked at for padding, beside one for each byte of the file: some 0.5 s."""
@@ -40,9 +38,6 @@ _CACHE = 16 << 10
 """KiB that the database keeps in memory, and that each of up to four sorts takes. 64 MiB were no faster for 10 million
 messages."""
 ROWS_HELD = 20_000  # rows before they are written: some 4 MB
-_RELIABLE: dict[object, bool] = {"reliable": True, 1: True, "best_effort": False, 2: False}
-_LATCHED: dict[object, bool] = {"transient_local": True, 1: True, "volatile": False, 2: False}
-"""Policies by their names (rosbag2 since Jazzy) and numbers (before)."""
 
 
 class Offer(NamedTuple):
@@ -143,28 +138,12 @@ def content_key(content: bytes | memoryview, *, is_cdr: bool) -> int:
     return int.from_bytes(made.digest(), "little", signed=True)
 
 
-_Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-
-
 def offers_of(profiles: str) -> list[Offer]:
     """Parse ``offered_qos_profiles`` of a channel, as rosbag2 writes it; what is not understood is unknown."""
-    if len(profiles) > _PROFILES or "&" in profiles:  # no profile has anchors, a few lines of which may fill the memory
-        return []
-    try:
-        parsed = yaml.load(profiles, _Loader)  # noqa: S506 -- the safe one
-    except (yaml.YAMLError, ValueError, RecursionError):  # ValueError: a date that is none
-        return []
-    if not isinstance(parsed, list):
-        return []
     return [
-        Offer(_policy(_RELIABLE, each.get("reliability")), _policy(_LATCHED, each.get("durability")))
-        for each in parsed
-        if isinstance(each, dict)
+        Offer(policy(RELIABLE, each.get("reliability")), policy(LATCHED, each.get("durability")))
+        for each in parsed_profiles(profiles)
     ]
-
-
-def _policy(known: dict[object, bool], value: object) -> bool | None:
-    return known.get(value) if isinstance(value, str | int) else None
 
 
 class RecordedChannel(NamedTuple):

@@ -14,11 +14,11 @@ from tests.fuzz.scratch import scratch_folder
 
 from rsb_extras.audit.audit_table import lines_of
 from rsb_extras.audit.comparing import AuditOptions, AuditReport, compare
-from rsb_extras.audit.defined_types import DefinitionError, defined_type
 from rsb_extras.audit.padding import Padding, PaddingError
 from rsb_extras.audit.recorded import offers_of
 from rsb_extras.audit.tests.written import write_sides
 from rsb_extras.audit.unanswered import SeenCalls, SeenGoals
+from rsb_extras.recording.reading.defined_types import DefinitionError, defined_type
 from rsb_extras.recording.reading.stored_message import RecordingError
 
 

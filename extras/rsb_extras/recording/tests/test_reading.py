@@ -15,7 +15,7 @@ from mcap.writer import CompressionType, IndexType, Writer
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 from tests.support.wording import says
 
-from rsb_extras.audit.tests.test_bags import add, old_bag, string, write_bag
+from rsb_extras.audit.tests.bags import add, old_bag, string, write_bag
 from rsb_extras.recording.reading.open_recording import OpenRecording, messages_of, summary_of
 from rsb_extras.recording.reading.recording_files import StoredMessages
 from rsb_extras.recording.reading.stored_message import Damage, DamageError, RecordingError, UnreadableRecording

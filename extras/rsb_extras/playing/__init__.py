@@ -1,0 +1,25 @@
+"""Playing: the messages of a recording, published in a domain with the times between them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, ClassVar
+
+from rsb_bridge.feature_api import Feature
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from rsb_console.feature_console import AddCommand, Complete
+
+
+class PlayingFeature(Feature):
+    name = "playing"
+    libraries: ClassVar[Mapping[str, str]] = {"record": "mcap"}
+
+    def subcommands(self, add: AddCommand, complete: Complete) -> None:
+        from rsb_extras.playing.play_arguments import add_play  # noqa: PLC0415 -- `Feature` says why
+
+        add_play(add, complete)
+
+
+FEATURE = PlayingFeature()
