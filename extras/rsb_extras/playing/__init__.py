@@ -1,4 +1,4 @@
-"""Playing: the messages of a recording, published in a domain with the times between them."""
+"""Playing: the messages of a recording, published in a domain with their times, or looked at in a terminal."""
 
 from __future__ import annotations
 
@@ -17,9 +17,10 @@ class PlayingFeature(Feature):
     libraries: ClassVar[Mapping[str, str]] = {"record": "mcap"}
 
     def subcommands(self, add: AddCommand, complete: Complete) -> None:
-        from rsb_extras.playing.play_arguments import add_play  # noqa: PLC0415 -- `Feature` says why
+        from rsb_extras.playing.play_arguments import add_play, add_review  # noqa: PLC0415 -- `Feature` says why
 
         add_play(add, complete)
+        add_review(add, complete)
 
 
 FEATURE = PlayingFeature()

@@ -1,4 +1,4 @@
-"""The arguments of the command ``play``."""
+"""The arguments of the commands ``play`` and ``review``."""
 
 from __future__ import annotations
 
@@ -31,6 +31,19 @@ exit codes:
   2  wrong usage, or a file that cannot be read
   130  interrupted by Ctrl-C"""
 
+_REVIEW = """\
+The screen lists the topics, and shows what the chosen one has at the chosen time:
+its picture, drawn as `look` does, and its message. It needs no bridge and no ROS
+graph, and publishes nothing.
+
+for example:
+  rsb-console review bag
+  rsb-console review stretch.mcap /camera/image_raw --at 42.5
+
+exit codes:
+  0  left
+  2  wrong usage, no terminal, or a file that cannot be read"""
+
 
 def add_play(add: AddCommand, complete: Complete) -> None:
     run = subcommand("rsb_extras.playing.play_command:play")
@@ -53,3 +66,15 @@ def add_play(add: AddCommand, complete: Complete) -> None:
     arm = "play also what may move a robot; asks first, at a terminal"
     parser.add_argument("--arm", action="store_true", help=arm)
     parser.add_argument("--json", action="store_true", help="print the result as JSON, for programs")
+
+
+def add_review(add: AddCommand, complete: Complete) -> None:
+    run = subcommand("rsb_extras.playing.review_command:review")
+    parser = add("review", run, "look at a recording: topics, pictures, messages", _REVIEW, after="play")
+    complete(parser.add_argument("file", type=Path, metavar="FILE", help="*.mcap, *.db3, or a rosbag2 folder"), "files")
+    parser.add_argument("topic", nargs="?", default="", metavar="TOPIC", help="to begin with; default: the first one")
+    place = "where to begin, in seconds from its begin"
+    parser.add_argument("--at", type=within(0, 1e9), metavar="SECONDS", help=place)
+    parser.add_argument("--ascii", action="store_true", help="draw with ASCII characters")
+    parser.add_argument("--no-mouse", action="store_true", help="leave the mouse to the terminal")
+    parser.add_argument("--theme", metavar="NAME", help="theme to start with")

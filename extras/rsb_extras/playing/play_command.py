@@ -148,7 +148,8 @@ class _Shown:
         if self._is_shown:
             at, all_of_it = ((each - self._span.begin) / SECOND for each in (state.position, self._span.end))
             what = "paused " if state.is_paused else "playing"
-            sys.stdout.write(f"\r{what} {at:.1f} / {all_of_it:.1f} s  {state.messages:,} messages\x1b[K")
+            heard = f"{state.messages:,} messages, {state.subscriptions} subscriptions"
+            sys.stdout.write(f"\r{what} {at:.1f} / {all_of_it:.1f} s  {heard}\x1b[K")
             sys.stdout.flush()
 
     def end(self) -> None:

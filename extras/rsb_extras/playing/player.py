@@ -76,11 +76,12 @@ class PlaySpan(NamedTuple):
 
 
 class PlayState(NamedTuple):
-    """The state of a player: its place in the recording (ns since the epoch), and the messages it has published."""
+    """The state of a player: its place (ns since the epoch), what it has published, and who listens."""
 
     position: int
     is_paused: bool
     messages: int
+    subscriptions: int
 
 
 class Player:
@@ -225,7 +226,9 @@ class Player:
         return min(self._at + round(passed * SECOND), self._span.end)
 
     def _state(self, now: float) -> PlayState:
-        return PlayState(self._position(now), self._is_paused, self.messages)
+        everywhere = [each.publisher for each in self._publishers.all] + [each for each in (self._clock,) if each]
+        subscriptions = sum(each.subscriber_count for each in everywhere)
+        return PlayState(self._position(now), self._is_paused, self.messages, subscriptions)
 
     def _tell_clock(self, at: int) -> None:
         if self._clock is not None:

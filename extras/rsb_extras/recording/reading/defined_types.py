@@ -98,7 +98,15 @@ _NO_FIELD = MessageField("structure_needs_at_least_one_member", FieldType(_UINT8
 
 
 def rosidl_description(described: TypeDescription) -> TypeDescription:
-    """Return what `defined_type` has read as rosidl describes it, so that its text has the hash that nodes tell."""
+    """Return what `defined_type` has read as rosidl describes it, so that its text has the hash that nodes tell.
+
+    Raises:
+        DefinitionError: a type that it refers to is missing.
+    """
+    known = {each.type_name for each in described.referenced_type_descriptions}
+    messages = described.type_description, *described.referenced_type_descriptions
+    if not {field.type.nested_type_name for each in messages for field in each.fields} <= {"", *known}:
+        raise DefinitionError
     others = sorted(described.referenced_type_descriptions, key=lambda each: each.type_name)
     return TypeDescription(_of_rosidl(described.type_description), tuple(_of_rosidl(each) for each in others))
 
