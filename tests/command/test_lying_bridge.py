@@ -50,7 +50,7 @@ ASKING = [
     f"fleet edit --all {SCAN} max_rate=5 --yes",
 ]  # fmt: skip
 """Each command that asks a bridge."""
-ASKS_NOBODY = {"check", "keygen", "import", "bt-scan", "demo", "service", "audit", "completion"}
+ASKS_NOBODY = {"check", "keygen", "import", "bt-scan", "demo", "service", "audit", "completion", "play", "review"}
 HAS_A_SCREEN = {"attach", "run"}
 ASKS_OFTEN = {"mcp"}  # each of its tools runs one of the commands that ask
 

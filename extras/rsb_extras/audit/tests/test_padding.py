@@ -18,10 +18,10 @@ from rsb_bridge.cdr.decoder import decode
 from rsb_bridge.cdr.description import FieldType, MessageField, MessageType, TypeDescription, text_of
 from rsb_bridge.ros.native.typesupport import installed_class
 from rsb_extras.audit.audit_table import AuditText
-from rsb_extras.audit.defined_types import DefinitionError, defined_type
 from rsb_extras.audit.padding import Padding, PaddingError
 from rsb_extras.audit.tests.conftest import Audited, Sides
 from rsb_extras.recording.message_definition import message_definition
+from rsb_extras.recording.reading.defined_types import DefinitionError, defined_type
 
 Run = Callable[..., Audited]
 IMAGE = message_definition(text_of(described("sensor_msgs/msg/Image")))

@@ -90,3 +90,40 @@ def _type(package: str, found: re.Match[str]) -> FieldType:
     return FieldType(
         kind + (0 if not array else _BOUNDED if "<" in array else _ARRAY), int(digits or 0), characters, nested
     )
+
+
+_CHAR, _UINT8 = 13, 3
+_NO_FIELD = MessageField("structure_needs_at_least_one_member", FieldType(_UINT8, 0, 0, ""))
+"""The field that rosidl gives a type without fields."""
+
+
+def rosidl_description(described: TypeDescription) -> TypeDescription:
+    """Return what `defined_type` has read as rosidl describes it, so that its text has the hash that nodes tell.
+
+    Raises:
+        DefinitionError: a type that it refers to is missing.
+    """
+    known = {each.type_name for each in described.referenced_type_descriptions}
+    messages = described.type_description, *described.referenced_type_descriptions
+    if not {field.type.nested_type_name for each in messages for field in each.fields} <= {"", *known}:
+        raise DefinitionError
+    others = sorted(described.referenced_type_descriptions, key=lambda each: each.type_name)
+    return TypeDescription(_of_rosidl(described.type_description), tuple(_of_rosidl(each) for each in others))
+
+
+def _of_rosidl(message: MessageType) -> MessageType:
+    fields = (MessageField(each.name, _field_type(each.type)) for each in message.fields)
+    return MessageType(_long(message.type_name), tuple(fields) or (_NO_FIELD,))
+
+
+def _field_type(kind: FieldType) -> FieldType:
+    container, base = divmod(kind.type_id - 1, KINDS)
+    is_char = base + 1 == _CHAR  # in a message file, another word for uint8
+    type_id = container * KINDS + _UINT8 if is_char else kind.type_id
+    nested = _long(kind.nested_type_name) if kind.nested_type_name else ""
+    return FieldType(type_id, kind.capacity, kind.string_capacity, nested)
+
+
+def _long(name: str) -> str:
+    package, _, short = name.partition("/")
+    return f"{package}/msg/{short}"
