@@ -50,7 +50,8 @@ BRINGS_COMMANDS: Mapping[str, str] = {
 }  # fmt: skip
 """The same of subcommands."""
 BRINGS_ACTIONS: Mapping[str, str] = {
-    "demo": "demo", "drive": "driving", "history": "history", "import_session": "imports", "lifecycle": "node_control",
+    "demo": "demo", "drive": "driving", "history": "history", "import_session": "imports", "keep_event": "disk_ring",
+    "lifecycle": "node_control",
     "look": "pictures", "nodes": "nodes", "parameters": "node_control", "publish": "driving", "record": "recording",
     "units": "units",
     **dict.fromkeys(("dismiss", "edit_marked", "mark", "open_robot"), "fleet"),

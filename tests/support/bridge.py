@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from rsb_bridge.route.route import Route
 
 STOPS_WITHIN = 15.0
-THREADS = ("rsb-io", "ros", "rsb-history", "rsb-disk", "rsb-metrics", "rsb-on-fault")
+THREADS = ("rsb-io", "ros", "rsb-history", "rsb-disk", "rsb-ring", "rsb-metrics", "rsb-on-fault")
 """Of an engine."""
 
 

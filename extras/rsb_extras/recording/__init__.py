@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import msgspec
 
@@ -17,15 +17,31 @@ if TYPE_CHECKING:
 
 
 class RecordLimits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The bounds of what is kept in memory; the tighter one counts.
+    """The bounds of what is kept; of two, the tighter one counts. All from `disk` on are of the feature `disk_ring`.
 
     Attributes:
-        seconds: age of the oldest message.
-        megabytes: MiB of all messages together.
+        seconds: age of the oldest message in memory.
+        megabytes: MiB of all messages in memory together.
+        disk: GB of the ring on disk, or 0 for none.
+        disk_seconds: age of the oldest message there, or 0 for any.
+        free: GB of the disk that stay free.
+        also: topics of this side's domain that are recorded there though no link carries them; names and patterns.
+        before: s before a cause that are kept.
+        after: the same after it.
+        kept: GB of all stretches that are kept.
+        keep_on: causes that keep a stretch without an operator.
     """
 
     seconds: float = 30.0
     megabytes: float = 32.0
+    disk: float = 0.0
+    disk_seconds: float = 0.0
+    free: float = 1.0
+    also: tuple[str, ...] = ()
+    before: float = 60.0
+    after: float = 30.0
+    kept: float = 4.0
+    keep_on: tuple[Literal["fault", "link", "disarm"], ...] = ("fault", "link", "disarm")
 
 
 RECORD: SessionKey[bool | RecordLimits] = SessionKey("record", bool | RecordLimits, False, live=True)

@@ -9,19 +9,14 @@ from contextlib import suppress
 from datetime import datetime
 from enum import StrEnum
 from itertools import chain
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from msgspec.structs import replace
 
-from rsb_bridge.cdr.description import DescriptionError
 from rsb_bridge.config.files import UNFINISHED, remove_file, stat_of
 from rsb_bridge.feature_api import (
     EnginePart,
     LinkError,
-    Qos,
-    Receiver,
-    Sender,
-    TopicSpec,
     Wording,
     file_stem,
     make_folder,
@@ -30,16 +25,16 @@ from rsb_bridge.feature_api import (
 )
 from rsb_extras.recording import RECORD, record_limits
 from rsb_extras.recording.keep_last import RECORDINGS, TOPICS_NAMED, KeepLast, KeptRecording
-from rsb_extras.recording.mcap_file import McapError, RecordedTopic, new_recording
-from rsb_extras.recording.message_definition import message_definition
+from rsb_extras.recording.mcap_file import McapError, new_recording
 from rsb_extras.recording.message_ring import MessageRing, RingMessage, of_last
+from rsb_extras.recording.passing_messages import passing_messages, recorded_topic
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from rsb_bridge.feature_api import Bridge, Context, Snapshot, Tap
-    from rsb_extras.recording.mcap_file import McapFile
+    from rsb_bridge.feature_api import Bridge, Context, Snapshot, TopicSpec
+    from rsb_extras.recording.mcap_file import McapFile, RecordedTopic
 
 FOLDER_SIZE = 2 << 30
 """Bytes of all recordings in the folder, beyond which there are no more: a console must not fill the disk. A round
@@ -103,6 +98,7 @@ class Keeping(EnginePart):
         super().__init__()
         self._bridge = bridge
         self._context: Context = bridge.context
+        self._passing = passing_messages(bridge)
         self.ring: MessageRing | None = None
         self._writing = asyncio.Lock()
         self._stopping = threading.Event()
@@ -127,29 +123,11 @@ class Keeping(EnginePart):
 
     def _set_ring(self, ring: MessageRing | None) -> None:
         """Keep messages in a new ring, or none, of all present and coming routes."""
+        if self.ring is not None:
+            self._passing.end(self.ring.add)
         self.ring = ring
-        self._context.tap_of = lambda topic, source: None if ring is None else self._tap_of(topic, source, ring)
-        for link in self._bridge.role.links():
-            for route in link.routes.values():
-                if isinstance(route.half, Sender | Receiver):
-                    route.half.flow.renew_tap()
-
-    def _tap_of(self, name: str, source: Any, ring: MessageRing) -> Tap:
-        now, is_own = self._context.now, self._context.announcements.is_own
-        topic = TopicSpec(name, "", "", Qos())
-
-        def tap(content: bytes, time: int, published: int, publisher: bytes, number: int) -> None:
-            nonlocal topic
-            if self.ring is not ring:  # a view outlives the switch
-                return
-            # What comes from ROS may have come over another link, where it is kept already.
-            if publisher and (is_own(publisher) or ring.is_known(publisher, number or published)):
-                return
-            if topic.type_hash != source.type_hash or topic.qos is not source.qos:
-                topic = TopicSpec(name, source.type_name, source.type_hash, source.qos or Qos())
-            ring.add(RingMessage(now(), topic, content, time, published, number))
-
-        return tap
+        if ring is not None:
+            self._passing.give(ring.add)
 
     # --- writing
 
@@ -174,15 +152,7 @@ class Keeping(EnginePart):
 
     async def _described(self, topics: Sequence[TopicSpec]) -> dict[TopicSpec, RecordedTopic]:
         """Return what a file says of topics."""
-        found: dict[TopicSpec, RecordedTopic] = {}
-        for each in topics:
-            text = await self._context.descriptions.find(each.type_name, each.type_hash, each.topic) or ""
-            try:
-                message_definition(text)
-            except DescriptionError:
-                text = ""
-            found[each] = RecordedTopic(each.topic, each.type_name, each.type_hash, text, each.qos)
-        return found
+        return {each: await recorded_topic(self._context, each) for each in topics}
 
     async def _written(self, window: _Window, described: Mapping[TopicSpec, RecordedTopic]) -> KeptRecording:
         folder = state_folder(os.environ) / RECORDINGS

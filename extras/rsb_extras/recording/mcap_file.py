@@ -56,6 +56,7 @@ class McapFile:
 
     Args:
         file: is written to from its beginning, and not closed.
+        is_compressed: whether by zstd, which nearly halves what numbers take, and takes a core for 250 MB/s of images.
 
     Attributes:
         messages: number of those that are written.
@@ -64,13 +65,15 @@ class McapFile:
         McapError: MCAP's library is not installed.
     """
 
-    def __init__(self, file: IO[bytes]) -> None:
+    def __init__(self, file: IO[bytes], *, is_compressed: bool = True) -> None:
         try:
-            from mcap.writer import IndexType, Writer  # noqa: PLC0415 -- bridges that record nothing do without
+            from mcap.writer import CompressionType, IndexType, Writer  # noqa: PLC0415 -- bridges that record nothing do without
         except ImportError:
             raise McapError(McapText.NOT_INSTALLED()) from None
         self.messages = 0
-        self._writer: Any = Writer(file, index_types=IndexType.CHUNK | IndexType.MESSAGE)  # no empty groups
+        compression = CompressionType.ZSTD if is_compressed else CompressionType.NONE
+        indexes = IndexType.CHUNK | IndexType.MESSAGE  # no empty groups
+        self._writer: Any = Writer(file, compression=compression, index_types=indexes)
         self._writer.start(profile="ros2", library="rsb-console")
         self._schemas: dict[str, int] = {}
         self._channels: dict[RecordedTopic, int] = {}
@@ -94,6 +97,10 @@ class McapFile:
         logged, stamp = (min(max(0, each), _LONGEST) for each in (time, min(time, published)))
         self._writer.add_message(channel, logged, content, stamp, number % _NUMBERS)
         self.messages += 1
+
+    def flush(self) -> None:
+        """Hand what is added so far to the system, as a chunk that can be read without the end of the file."""
+        self._writer.flush()
 
     def finish(self) -> None:
         """Write the end of the file: index and statistics."""

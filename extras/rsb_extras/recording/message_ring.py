@@ -15,12 +15,10 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
 MESSAGE_COST = 256
-"""Bytes that are counted with each message, for the objects around it: 233 by `tracemalloc`."""
+"""Bytes that are counted with each message, for the objects around it: 241 by `tracemalloc`."""
 _LATCHED_TOGETHER = 64 << 10
 """Bytes of one latched topic's older messages that stay with its newest one, as /tf_static has several publishers. A
 round figure: a transform takes 200."""
-_PUBLISHERS = 4096
-"""Publishers whose newest number is remembered. A round figure; after that, a message may be kept twice."""
 _at = attrgetter("at")
 
 
@@ -32,6 +30,7 @@ class RingMessage(msgspec.Struct, frozen=True, gc=False):
         time: ns since the epoch, when it passed.
         published: ns since the epoch, when it was published, as far as known.
         number: among its publisher's messages, or 0 if unknown.
+        publisher: its id in the middleware, or empty if it came over a link.
     """
 
     at: float
@@ -40,6 +39,7 @@ class RingMessage(msgspec.Struct, frozen=True, gc=False):
     time: int
     published: int
     number: int
+    publisher: bytes = b""
 
     @property
     def cost(self) -> int:
@@ -67,24 +67,9 @@ class MessageRing:
         self.left_out = 0
         self._messages: deque[RingMessage] = deque()
         self._latched: dict[str, deque[RingMessage]] = {}
-        self._numbers: dict[bytes, int] = {}
 
     def __len__(self) -> int:
         return len(self._messages) + sum(map(len, self._latched.values()))
-
-    def is_known(self, publisher: bytes, number: int) -> bool:
-        """Whether a message has come already: over another link, or again to a new subscription. Notes it if not.
-
-        Args:
-            publisher: its id in the middleware.
-            number: grows with each of its messages.
-        """
-        if self._numbers.get(publisher, 0) >= number:
-            return True
-        if len(self._numbers) >= _PUBLISHERS and publisher not in self._numbers:
-            self._numbers.clear()
-        self._numbers[publisher] = number
-        return False
 
     def add(self, message: RingMessage) -> None:
         cost = message.cost

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tracemalloc
-from itertools import count
 from typing import TYPE_CHECKING
 
 import pytest
@@ -112,13 +111,3 @@ def test_shorter_window_begins_with_latched_messages() -> None:
     assert (times(latched), times(messages)) == ([4.1], [7.1, 8.1, 9.1])
     latched, messages = of_last(*ring.copy(10.0), began=50.0)
     assert (times(latched), messages) == ([4.1], [])
-
-
-def test_a_message_is_known_once() -> None:
-    ring, publishers = MessageRing(10.0, 1000), count()
-    assert not ring.is_known(b"one", 1)
-    assert ring.is_known(b"one", 1)
-    assert not ring.is_known(b"one", 2)
-    assert ring.is_known(b"one", 1), "it comes again to a new subscription"
-    assert not ring.is_known(b"two", 1)
-    assert not any(ring.is_known(b"%d" % next(publishers), 1) for _ in range(20_000)), "and strangers are bounded"

@@ -1,0 +1,193 @@
+"""Segments of the ring on disk: MCAP files, each of them a whole recording."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from typing import IO, TYPE_CHECKING, Any, NamedTuple
+
+from rsb_bridge.cdr.description import DescriptionError
+from rsb_bridge.config.files import owner_only, remove_file, whole_file
+from rsb_extras.recording.mcap_file import McapFile
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+    from pathlib import Path
+
+    from rsb_extras.recording.mcap_file import RecordedTopic
+    from rsb_extras.recording.message_ring import RingMessage
+
+SUFFIX = ".mcap"
+_MAGIC = b"\x89MCAP0\r\n"
+"""The first and the last bytes of an MCAP file."""
+_LONGEST_RECORD = 1 << 30
+"""Bytes. A round figure: what a cut file says of its own lengths is not believed."""
+
+
+class Segment(NamedTuple):
+    """A segment that is finished.
+
+    Attributes:
+        number: of its file, which grows.
+        began, ended: s on the steady clock, when its first and its last message were added.
+    """
+
+    path: Path
+    number: int
+    began: float
+    ended: float
+    size: int
+
+
+class OpenSegment:
+    """The segment that is being written.
+
+    Args:
+        path: of a file that is not there yet.
+        began: s on the steady clock, when the first message came.
+
+    Attributes:
+        undefined: topics in it whose types it does not define.
+        content: bytes of the messages in it.
+
+    Raises:
+        McapError: MCAP's library is not installed.
+        OSError: it cannot be written.
+    """
+
+    def __init__(self, path: Path, number: int, began: float, *, is_compressed: bool) -> None:
+        self.path, self.number, self.began, self.ended = path, number, began, began
+        self.undefined: set[str] = set()
+        self.content = 0
+        handle = owner_only(str(path), os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC)
+        self._file = os.fdopen(handle, "wb")
+        try:
+            self._recording = McapFile(self._file, is_compressed=is_compressed)
+            sync_folder(path.parent)
+        except BaseException:
+            self._file.close()
+            raise
+
+    def add(self, topic: RecordedTopic, message: RingMessage, time: int) -> None:
+        """Write a message with a log time (ns since the epoch)."""
+        if not topic.description:
+            self.undefined.add(topic.topic)
+        with contextlib.suppress(DescriptionError):  # it was looked at before
+            self._recording.add(topic, message.content, time, message.published, message.number)
+        self.content += len(message.content)
+        self.ended = max(self.ended, message.at)
+
+    @property
+    def size(self) -> int:
+        return self._file.tell()
+
+    def sync(self) -> None:
+        """Have the disk hold all that was added, readable without the end of the file."""
+        self._recording.flush()
+        os.fdatasync(self._file.fileno())
+
+    def finish(self) -> Segment:
+        """Write the end of the file."""
+        self._recording.finish()
+        self._file.flush()
+        os.fdatasync(self._file.fileno())
+        size = self.size
+        self._file.close()
+        return Segment(self.path, self.number, self.began, self.ended, size)
+
+    def abandon(self) -> None:
+        """Close the file as it is."""
+        with contextlib.suppress(OSError):
+            self._file.close()
+
+
+def sync_folder(folder: Path) -> None:
+    """Have the names of new files survive a power cut."""
+    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def is_whole(path: Path) -> bool:
+    """Whether a segment has its end."""
+    with path.open("rb") as file:
+        if file.seek(0, os.SEEK_END) < 2 * len(_MAGIC):
+            return False
+        file.seek(-len(_MAGIC), os.SEEK_END)
+        return file.read() == _MAGIC
+
+
+class Completed(NamedTuple):
+    """What is left of a segment that was cut.
+
+    Attributes:
+        messages: number of those in whole chunks.
+        lost: bytes behind these chunks.
+    """
+
+    messages: int
+    lost: int
+
+
+def complete(path: Path) -> Completed:
+    """Give a segment that was cut its end, behind its last whole chunk; remove it if it has none.
+
+    Raises:
+        McapError: MCAP's library is not installed.
+        OSError: it cannot be written. The file is as it was.
+    """
+    size, target = path.stat().st_size, path.with_suffix(".whole")
+    remove_file(target)
+    remove_file(target.with_name(f".{target.name}.part"))
+    with path.open("rb") as file, whole_file(target) as copy:
+        messages, end = _copy(file, copy)
+    if messages:
+        target.replace(path)
+    else:
+        remove_file(target)
+        remove_file(path)
+    sync_folder(path.parent)
+    return Completed(messages, max(0, size - end))
+
+
+def _copy(file: IO[bytes], copy: IO[bytes]) -> tuple[int, int]:
+    """Copy the whole chunks of a file; return the number of messages, and where the last one of these chunks ends."""
+    from mcap.records import Channel, Message, Schema  # noqa: PLC0415 -- bridges that record nothing do without
+    from mcap.writer import IndexType, Writer  # noqa: PLC0415
+
+    writer: Any = Writer(copy, index_types=IndexType.CHUNK | IndexType.MESSAGE)
+    writer.start(profile="ros2", library="rsb-console")
+    schemas: dict[int, int] = {}
+    channels: dict[int, int] = {}
+    messages = end = 0
+    for position, records in _whole_chunks(file):
+        end = position
+        for each in records:
+            if isinstance(each, Schema):
+                schemas[each.id] = writer.register_schema(each.name, each.encoding, each.data)
+            elif isinstance(each, Channel):
+                schema = schemas[each.schema_id]
+                channels[each.id] = writer.register_channel(each.topic, each.message_encoding, schema, each.metadata)
+            elif isinstance(each, Message):
+                channel = channels[each.channel_id]
+                writer.add_message(channel, each.log_time, each.data, each.publish_time, each.sequence)
+                messages += 1
+    writer.finish()
+    return messages, end
+
+
+def _whole_chunks(file: IO[bytes]) -> Iterator[tuple[int, Iterable[Any]]]:
+    """Yield the records of each chunk that is whole by its checksum, from the first on, and where it ends (bytes)."""
+    from mcap.records import Chunk, MessageIndex  # noqa: PLC0415
+    from mcap.stream_reader import StreamReader, breakup_chunk  # noqa: PLC0415
+
+    reader = StreamReader(file, emit_chunks=True, record_size_limit=_LONGEST_RECORD)
+    # Behind a cut, a disk has nothing, zeros, or another file's bytes, on which the library raises whatever it does.
+    with contextlib.suppress(Exception):
+        for each in reader.records:
+            if isinstance(each, Chunk):
+                yield file.tell(), breakup_chunk(each, validate_crc=True)
+            elif isinstance(each, MessageIndex):
+                yield file.tell(), ()

@@ -1,0 +1,174 @@
+"""The ring on disk of bridges between two domains: what is in it, and what keeps a stretch."""
+
+from __future__ import annotations
+
+import threading
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from tests.support.bridge import carries, happened, reloaded
+from tests.support.domain import LATCHED, text
+from tests.support.inside import inside
+from tests.support.participants import KnownNode
+from tests.support.waiting import eventually
+from tests.support.wording import pattern
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.feature_api import Level
+from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.session import Topic
+from rsb_bridge.ros.ros_interface import TopicSpec
+from rsb_extras.disk_ring.disk_ring import REASONS
+from rsb_extras.disk_ring.keep_stretch import KeepStretch
+from rsb_extras.disk_ring.ring_codes import RingCode, RingProblem
+from rsb_extras.disk_ring.tests.ring_bed import metadata, texts, written_so_far
+from rsb_extras.recording import RecordLimits
+from rsb_extras.recording.keep_last import KeepLast
+from rsb_extras.recording.tests.recordings import read
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from tests.support.bridge import Bridge
+    from tests.support.domain import Domain
+    from tests.support.relay import Relay
+
+    from rsb_bridge.engine import Engine
+
+ON = {"record": RecordLimits(disk=1.0, free=0.0, after=0.0)}
+
+
+def wait_for(folder: Path, reason: str) -> Path:
+    """Wait until a stretch is whole, and return its folder."""
+    return eventually(lambda: next(iter(folder.glob(f"*-{reason}")), None))
+
+
+def ring(folder: Path) -> list[Path]:
+    return sorted(folder.parent.glob("ring/*/*.mcap"))
+
+
+def in_ring(folder: Path, words: bytes) -> bool:
+    """Whether a message with these words is on the disk."""
+    return any(words in written_so_far(each) for each in ring(folder))
+
+
+def test_note_keeps_what_passed(bridge: Bridge, robot: Domain, pc: Domain, folder: Path) -> None:
+    pc.listener("/chat")
+    chat = robot.publisher("/chat")
+    server = bridge.server()
+    client = bridge.client(Topic("/chat", "transmit"), features=ON)
+    carries([chat], server, ["/chat"])
+    sent = [f"message {number}" for number in range(20)]
+    for each in sent:
+        chat.publish(text(each))
+    eventually(lambda: client.do(KeepLast(None)).result(60).messages == 20)  # all have passed
+    answer = client.do(KeepStretch("it fell")).result(60)
+    stretch = wait_for(folder, "note")
+    assert answer.path == str(stretch)
+    assert texts(stretch) == sent, "in memory and on disk"
+    custom = metadata(stretch)["custom_data"]
+    assert (custom["cause"], custom["note"]) == ("note", "it fell")
+    eventually(lambda: happened(client, RingCode.KEPT))
+
+
+def test_lost_link_keeps_a_stretch(bridge: Bridge, robot: Domain, pc: Domain, relay: Relay, folder: Path) -> None:
+    chat = robot.publisher("/chat")
+    pc.listener("/chat")
+    server = bridge.server()
+    client = bridge.client(Topic("/chat", "transmit"), features=ON)
+    carries([chat], server, ["/chat"])
+    chat.publish(text("the last word"))
+    eventually(lambda: client.do(KeepLast(None)).result(60).messages == 1)
+    relay.refuse()
+    relay.cut()
+    stretch = wait_for(folder, "link")
+    assert texts(stretch) == ["the last word"]
+    assert metadata(stretch)["custom_data"]["subject"] == "robot1"
+
+
+@pytest.mark.parametrize("code", REASONS)
+def test_events_keep_stretches(code: str, bridge: Bridge, robot: Domain, folder: Path) -> None:
+    client = bridge.client(
+        Topic("/chat", "transmit"), features={"record": RecordLimits(disk=1.0, free=0.0, after=0.0, also=("/alone",))}
+    )
+    alone = robot.publisher("/alone")
+    eventually(alone.get_subscription_count)
+    alone.publish(text("word"))
+    eventually(lambda: ring(folder))
+    inside(client).context.events.add(Level.WARNING, code, "what happened", topic="/chat")
+    stretch = wait_for(folder, REASONS[code])
+    assert metadata(stretch)["custom_data"]["text"] == "what happened"
+
+
+def test_others_topics_are_in_it_if_the_session_says_so(bridge: Bridge, robot: Domain, folder: Path) -> None:
+    limits = RecordLimits(disk=1.0, free=0.0, after=0.0, also=("/arm/**", "/left"))
+    client = bridge.client(Topic("/chat", "transmit"), features={"record": limits})
+    latched = robot.publisher("/arm/model", qos=LATCHED)
+    latched.publish(text("model"))
+    others = {name: robot.publisher(name) for name in ("/arm/joints", "/left", "/right")}
+    eventually(lambda: all(others[name].get_subscription_count() for name in ("/arm/joints", "/left")))
+    for name, publisher in others.items():
+        publisher.publish(text(name))
+    eventually(lambda: in_ring(folder, b"/arm/joints") and in_ring(folder, b"/left"))
+    client.do(KeepStretch()).result(60)
+    found = {(each.topic, each.message.data) for each in read_all(wait_for(folder, "note"))}
+    assert found == {("/arm/model", "model"), ("/arm/joints", "/arm/joints"), ("/left", "/left")}
+    assert not others["/right"].get_subscription_count()
+
+
+def read_all(stretch: Path) -> list[Any]:
+    return [each for path in sorted(stretch.glob("*.mcap")) for each in read(path)]
+
+
+def test_type_that_nobody_describes_is_in_it(bridge: Bridge, folder: Path) -> None:
+    robot, pc = KnownNode(bridge.robot.id, "sends"), KnownNode(bridge.pc.id, "hears")
+    for node in (robot, pc):
+        node.start()
+    try:
+        spec = TopicSpec("/blob", "made_up_msgs/msg/Blob", f"RIHS01_{'5a' * 32}", Qos(depth=20))
+        publisher, received = robot.advertise(spec, "robot"), list[bytes]()
+        pc.subscribe(spec, lambda batch: received.extend(each.payload for each in batch), "pc")
+        bridge.server()
+        client = bridge.client(Topic("/blob", "transmit"), features=ON)
+
+        def is_heard() -> bool:
+            publisher.publish(b"\0\1\0\0\7")
+            return bool(received)
+
+        eventually(is_heard)
+        eventually(lambda: in_ring(folder, b"\0\1\0\0\7"))
+        client.do(KeepStretch()).result(60)
+        (topic,) = metadata(wait_for(folder, "note"))["topics_with_message_count"]
+        assert topic["topic_metadata"]["type"] == spec.type_name
+    finally:
+        for node in (robot, pc):
+            node.stop()
+
+
+def threads() -> int:
+    return sum(each.name == "rsb-ring" for each in threading.enumerate())
+
+
+def test_reload_switches_it(bridge: Bridge, robot: Domain, pc: Domain, folder: Path, tmp_path: Path) -> None:
+    pc.listener("/chat")
+    chat = robot.publisher("/chat")
+    server = bridge.server()
+    client = bridge.client(Topic("/chat", "transmit"))
+    carries([chat], server, ["/chat"])
+    assert not threads()
+    with pytest.raises(EngineError, match=pattern(RingProblem.OFF)):
+        client.do(KeepStretch()).result(60)
+    for number, seconds in enumerate((0.0, 100.0)):
+        limits = RecordLimits(disk=1.0, free=0.0, after=0.0, disk_seconds=seconds)
+        reloaded(client, tmp_path / "client.yaml", features={"record": limits})
+        chat.publish(text(f"word {number}"))
+        eventually(lambda number=number: in_ring(folder, f"word {number}".encode()))
+    reloaded(client, tmp_path / "client.yaml", features={})
+    eventually(lambda: not threads())
+    assert [each for path in ring(folder) for each in texts(path)] == ["word 0", "word 1"]
+    assert not is_tapped(client)
+
+
+def is_tapped(engine: Engine) -> bool:
+    routes = [route for link in inside(engine).role.links() for route in link.routes.values()]
+    return any(route.half.flow.peek_slot.wanted for route in routes)  # type: ignore[union-attr]

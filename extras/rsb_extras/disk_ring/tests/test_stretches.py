@@ -1,0 +1,175 @@
+"""Stretches that are kept: what is in them, what joins, what goes, and what survives a power cut."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+from rosbags.highlevel import AnyReader
+
+from rsb_extras.disk_ring.ring_codes import RingCode
+from rsb_extras.disk_ring.tests.ring_bed import FRAMES, RingBed, metadata, texts
+from rsb_extras.recording import RecordLimits
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+
+@pytest.fixture
+def bed(tmp_path: Path) -> Iterator[RingBed]:
+    found = RingBed(tmp_path)
+    yield found
+    found.close()
+
+
+def at(first: int, last: int) -> list[str]:
+    return [f"at {number}" for number in range(first, last + 1)]
+
+
+def test_before_and_after_are_kept_without_a_gap(bed: RingBed) -> None:
+    bed.write("frame", topic=FRAMES)
+    bed.pass_time(200)
+    bed.keep()
+    bed.pass_time(40)
+    (stretch,) = bed.stretches
+    assert re.fullmatch(r"robot1-202311\d\d-\d{6}-fault", stretch.name)
+    found = texts(stretch)
+    assert found[-1] == "at 1230"
+    assert found == at(int(found[0].split()[1]), 1230)
+    assert 60 <= 1200 - int(found[0].split()[1]) <= 91
+    assert RingCode.KEPT in bed.codes()
+
+
+def test_every_reader_takes_the_folder(bed: RingBed) -> None:
+    bed.write("frame", topic=FRAMES)
+    bed.pass_time(70)
+    bed.keep()
+    bed.pass_time(31)
+    (stretch,) = bed.stretches
+    found = metadata(stretch)
+    assert found["version"] == 9
+    assert found["relative_file_paths"] == [f"{stretch.name}_{number}.mcap" for number in range(len(found["files"]))]
+    assert found["custom_data"]["cause"] == "fault"
+    with AnyReader([stretch]) as reader:
+        messages = list(reader.messages())
+    assert len(messages) == found["message_count"]
+    assert {connection.topic for connection, _, _ in messages} == {"/chat", "/tf_static"}
+
+
+def test_second_fault_joins(bed: RingBed) -> None:
+    bed.pass_time(100)
+    bed.keep()
+    bed.pass_time(20)
+    bed.keep("link")
+    bed.pass_time(40)
+    (stretch,) = bed.stretches
+    assert texts(stretch)[-1] == "at 1150"
+    assert " link /chat" in metadata(stretch)["custom_data"]["also"]
+
+
+def test_note_gives_it_its_name(bed: RingBed) -> None:
+    bed.pass_time(100)
+    bed.keep()
+    bed.pass_time(20)
+    where = bed.keep("note", "lens is dirty")
+    bed.pass_time(40)
+    (stretch,) = bed.stretches
+    assert where == stretch
+    assert stretch.name.endswith("-note")
+    assert metadata(stretch)["custom_data"]["note"] == "lens is dirty"
+
+
+def test_two_faults_apart_are_two(bed: RingBed) -> None:
+    for _ in range(2):
+        bed.pass_time(100)
+        bed.keep()
+    bed.pass_time(31)
+    assert len(bed.stretches) == 2
+
+
+def test_fault_that_comes_and_goes_ends(bed: RingBed) -> None:
+    for _ in range(70):
+        bed.keep()
+        bed.pass_time(10)
+    assert len(bed.stretches) == 1, "the next one has begun"
+    assert texts(bed.stretches[0])[-1] == "at 1600"
+
+
+def test_stretch_outlives_the_ring(tmp_path: Path) -> None:
+    bed = RingBed(tmp_path, RecordLimits(disk=0.01, free=0.0, before=10.0, after=5.0))
+    bed.pass_time(20)
+    bed.keep()
+    for _ in range(300):
+        bed.write(os.urandom(40_000).hex())
+    bed.pass_time(6)
+    (stretch,) = bed.stretches
+    assert texts(stretch)[:15] == at(1001, 1015), "the ring has no room for them any more"
+    bed.end()
+
+
+def test_oldest_goes_and_an_operators_stays(tmp_path: Path) -> None:
+    bed = RingBed(tmp_path, RecordLimits(disk=0.1, free=0.0, before=0.0, after=1.0, kept=0.01))
+    for reason in ("note", "fault", "link"):
+        bed.keep(reason)
+        for _ in range(100):
+            bed.write(os.urandom(45_000).hex())
+        bed.pass_time(2)
+    names = [each.name.rpartition("-")[2] for each in bed.stretches]
+    assert names == ["note", "link"]
+    assert RingCode.REMOVED in bed.codes()
+    bed.end()
+
+
+def test_operators_stretches_fill_the_bound(tmp_path: Path) -> None:
+    bed = RingBed(tmp_path, RecordLimits(disk=0.1, free=0.0, before=0.0, after=1.0, kept=0.01))
+    for _ in range(2):
+        bed.keep("note")
+        for _ in range(100):
+            bed.write(os.urandom(45_000).hex())
+        bed.pass_time(2)
+    assert len(bed.stretches) == 2
+    bed.pass_time(2)
+    for _ in range(100):
+        bed.write(os.urandom(45_000).hex())
+    bed.keep("note")
+    bed.pass_time(2)
+    assert len(bed.stretches) == 2, "and none was removed"
+    assert RingCode.NOT_KEPT in bed.codes()
+    bed.end()
+
+
+def test_cut_stretch_is_finished_by_the_next_process(tmp_path: Path) -> None:
+    bed = RingBed(tmp_path)
+    bed.pass_time(100)
+    bed.keep("note", "it fell")
+    bed.pass_time(10)
+    bed.close()
+    after = RingBed(tmp_path, now=1200.0)
+    (stretch,) = after.stretches
+    assert texts(stretch)[-1] == "at 1110"
+    assert "cut" in metadata(stretch)["custom_data"]
+    after.end()
+    assert not [*(tmp_path / "recordings").glob(".*")]
+
+
+def test_stretch_ends_with_the_bridge(bed: RingBed) -> None:
+    bed.pass_time(10)
+    bed.keep()
+    bed.pass_time(5)
+    bed.end()
+    (stretch,) = bed.stretches
+    assert texts(stretch) == at(1001, 1015)
+
+
+def test_file_system_without_links_has_a_copy(bed: RingBed, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise PermissionError
+
+    monkeypatch.setattr(os, "link", refuse)
+    bed.pass_time(70)
+    bed.keep()
+    bed.pass_time(31)
+    assert texts(bed.stretches[0]) == at(1001, 1100)
