@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from rsb_console.feature_console import FAILURE, OK, UsageError, json_line, print_line
-from rsb_extras.audit.audit_table import lines_of
+from rsb_extras.audit.audit_table import AuditText, lines_of
 from rsb_extras.audit.comparing import AuditOptions, compare
-from rsb_extras.audit.recording_files import RecordingError, UnreadableRecording
 from rsb_extras.audit.topic_pairs import PairError
+from rsb_extras.recording.reading.stored_message import RecordingError
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -32,7 +32,7 @@ def audit(arguments: Namespace) -> int:
     except (RecordingError, PairError) as error:
         raise UsageError(str(error)) from None
     except sqlite3.OperationalError as error:
-        raise UsageError(UnreadableRecording.NO_ROOM(reason=error)) from None
+        raise UsageError(AuditText.NO_ROOM(reason=error)) from None
     if arguments.json:
         print_line(json_line({"ok": not report.breaches, **msgspec.to_builtins(report)}))
     else:

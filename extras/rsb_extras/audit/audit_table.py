@@ -36,6 +36,7 @@ _OFFSETS = {
 class AuditText(Wording):
     """Texts of the audit's report."""
 
+    NO_ROOM = "the folder for temporary files cannot hold the audit ({reason}): set TMPDIR to one with more room"
     RECORDING = "{side:<4}  {path}: {messages:,} messages of {topics} topics, {seconds:.1f} s from {start}"
     CUT = "{side:<4}  {path}: {reason}; read as far as it goes"
     JOINED = "{side:<4}  {path}: {count} recordings, one behind the other; all are read"

@@ -10,8 +10,7 @@ import msgspec
 from rsb_bridge.model.names import OF_EVERY_NODE
 from rsb_extras.audit.audited_topic import IN_FLIGHT, OPENING, Audit, AuditedTopic
 from rsb_extras.audit.directions import SECOND, OffsetBy, directions
-from rsb_extras.audit.recorded import index_topics, new_database
-from rsb_extras.audit.recording_files import read_recording
+from rsb_extras.audit.recorded import index_topics, new_database, read_recording
 from rsb_extras.audit.topic_pairs import PairError, PairText, is_named, pair_topics
 from rsb_extras.audit.unanswered import CALL_TIME, GOAL_STATUS
 

@@ -12,21 +12,21 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import yaml
-import zstandard
 
 from rsb_bridge.cdr.description import DescriptionError, TypeDescription, hash_of_text, read_description
-from rsb_bridge.feature_api import Wording
 from rsb_bridge.ros.native.rosidl_descriptions import installed_description
 from rsb_extras.audit.defined_types import DefinitionError, defined_type
 from rsb_extras.audit.padding import Padding, PaddingError
 from rsb_extras.audit.unanswered import GOAL_STATUS, SERVICE_EVENTS, SeenCalls, SeenGoals
+from rsb_extras.recording.reading.recording_files import StoredMessages, files_of
+from rsb_extras.recording.reading.stored_message import Damage, DamageError, RecordingError, UnreadableRecording
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
     from pathlib import Path
 
-LONGEST = 64 << 20
-"""Bytes of one record, unpacked. A round figure: chunks of rosbag2 have 1 MB, or one longer message."""
+    from rsb_extras.recording.reading.stored_message import StoredChannel
+
 _TOPICS = 10_000  # of a recording, with each publisher that it tells apart. A round figure
 _PROFILES, _ALL_PROFILES = 64 << 10, 1 << 20
 """Bytes of one channel's QoS, and of all: 200 and 3,000 publishers. To parse 64 KiB takes 0.1 to 0.5 s."""
@@ -36,8 +36,6 @@ _PARTS_AT_FIRST = 1_000_000
 _SET_BACK = 500_000_000  # ns, above what writers may mix up. A round figure
 _MOST_SHIFT = 1 << 60  # ns, which the database still adds to any time
 _LATEST = (1 << 62) - 1  # ns; later times of a damaged file would not fit into the database when compared
-_ZSTD = b"\x28\xb5\x2f\xfd"
-"""The first bytes of a message that rosbag2 has compressed (`--compression-mode message`). No CDR begins so."""
 _CACHE = 16 << 10
 """KiB that the database keeps in memory, and that each of up to four sorts takes. 64 MiB were no faster for 10 million
 messages."""
@@ -45,22 +43,6 @@ ROWS_HELD = 20_000  # rows before they are written: some 4 MB
 _RELIABLE: dict[object, bool] = {"reliable": True, 1: True, "best_effort": False, 2: False}
 _LATCHED: dict[object, bool] = {"transient_local": True, 1: True, "volatile": False, 2: False}
 """Policies by their names (rosbag2 since Jazzy) and numbers (before)."""
-
-
-class Damage(Wording):
-    """Reasons why a recording is read up to some place only."""
-
-    BROKEN = "it is cut off or damaged ({kind})"
-    BROKEN_BAG = "it is cut off or damaged ({reason}): `sqlite3 FILE .recover` may save more"
-    TOO_LONG = "a record or message has more than {limit} MiB"
-    TOO_MANY = "it has more records than bytes"
-    TOPICS = "it has more than {limit:,} topics"
-    NO_BAG = "it has not the tables of rosbag2"
-    FOLLOWS = "what stands behind its end is no recording"
-
-
-class DamageError(ValueError):
-    """A recording cannot be read further; the message says why."""
 
 
 class Offer(NamedTuple):
@@ -195,44 +177,69 @@ class RecordedChannel(NamedTuple):
     watch: Callable[[memoryview, int], None] | None
 
 
-class RecordingRows:
-    """Makes rows of the messages of one recording.
+def read_recording(path: Path, side: str, database: sqlite3.Connection) -> ReadRecording:
+    """Read a file, or the files of a rosbag2 folder, into tables whose names begin with `side`.
 
-    Attributes:
-        recording: is filled.
+    Raises:
+        RecordingError: it is no recording, or has no message.
     """
+    recording = ReadRecording(path, files_of(path))
+    rows = _RecordingRows(recording, side, database)
+    for file in recording.files:
+        if cut := rows.read(StoredMessages(file)):
+            recording.cut = cut if file == path else f"{file.name}: {cut}"
+    rows.write()
+    if not recording.messages:
+        raise RecordingError(UnreadableRecording.EMPTY(path=path, cut=recording.cut and f": {recording.cut}"))
+    return recording
+
+
+class _RecordingRows:
+    """Makes rows of the messages of one recording, which is filled."""
 
     def __init__(self, recording: ReadRecording, side: str, database: sqlite3.Connection) -> None:
-        self.recording = recording
+        self._recording = recording
         self._side = side
         self._database = database
         self._held: dict[str, list[tuple[int, int, int, int, int]]] = {}
         self._count = self._senders = self._profiles = self._definitions = 0
         self._parts = _PARTS_AT_FIRST
         self._paddings: dict[tuple[str, str, bytes], Padding | None] = {}
-        self._unpack = zstandard.ZstdDecompressor(max_window_size=LONGEST)
 
-    def pass_bytes(self, count: int) -> None:
-        """Take note that so many bytes of a file were read."""
-        self._parts += count
+    def read(self, stored: StoredMessages) -> str:
+        """Read a file, and return why its end was not read, or an empty text.
 
-    def channel(
-        self, name: str, type_name: str, encoding: str, profiles: str, definition: tuple[str, bytes], *,
-        type_hash: str = "", publisher: str = "",
-    ) -> RecordedChannel:  # fmt: skip
+        Raises:
+            RecordingError: it is no recording, or cannot be read.
+        """
+        channels: dict[int, RecordedChannel] = {}  # by `id`, as their hashes take long
+        read = 0
+        try:
+            for stored_channel, time, _, _, content in stored:
+                if stored.read != read:
+                    self._parts += stored.read - read
+                    read = stored.read
+                channel = channels.get(id(stored_channel))
+                if channel is None:
+                    channel = channels[id(stored_channel)] = self._channel(stored_channel)
+                self._add(channel, time, content)
+            for stored_channel in stored.channels:  # one without a message shows that its topic was there
+                if id(stored_channel) not in channels:
+                    self._channel(stored_channel)
+        except DamageError as error:
+            return str(error)
+        finally:
+            self._recording.joined += stored.joined
+        return stored.cut
+
+    def _channel(self, stored: StoredChannel) -> RecordedChannel:
         """Return a channel for messages of one topic and publisher.
-
-        Args:
-            encoding: of the messages.
-            profiles: QoS of the publishers, as rosbag2 writes it.
-            definition: its encoding and text.
-            type_hash: as the recording has it, or empty.
-            publisher: name that tells publishers apart, or empty.
 
         Raises:
             DamageError: the recording has too many topics.
         """
-        recording, short = self.recording, type_name.replace("/msg/", "/")
+        recording, name, publisher = self._recording, stored.topic, stored.publisher
+        short = stored.type_name.replace("/msg/", "/")
         topic = recording.topics.get((name, short))
         if topic is None:
             table = f"{self._side}_{len(recording.topics)}"
@@ -245,12 +252,12 @@ class RecordingRows:
             if self._senders > _TOPICS:
                 raise DamageError(Damage.TOPICS(limit=_TOPICS))
         sender = topic.senders.setdefault(publisher, len(topic.senders))
-        self._profiles += len(profiles)
-        offers = offers_of(profiles) if self._profiles <= _ALL_PROFILES else []
+        self._profiles += len(stored.profiles)
+        offers = offers_of(stored.profiles) if self._profiles <= _ALL_PROFILES else []
         # The next file of a split recording has the channel again.
         topic.offers[publisher] = max(offers, topic.offers.get(publisher, []), key=len)
-        is_cdr = encoding == "cdr"
-        padding = self._padding(type_name, definition, type_hash) if is_cdr else None
+        is_cdr = stored.encoding == "cdr"
+        padding = self._padding(stored.type_name, stored.definition, stored.type_hash) if is_cdr else None
         if padding is None and is_cdr:
             topic.described = False
         watch = None
@@ -275,16 +282,8 @@ class RecordingRows:
                 self._paddings[known] = None
         return self._paddings[known]
 
-    def add(self, channel: RecordedChannel, time: int, content: bytes | memoryview) -> None:
-        """Add a message.
-
-        Raises:
-            DamageError: it is too long.
-            zstandard.ZstdError: it cannot be unpacked.
-        """
+    def _add(self, channel: RecordedChannel, time: int, content: memoryview) -> None:
         topic, sender, is_cdr, padding, watch = channel
-        if is_cdr and content[:4] == _ZSTD:
-            content = self._unpacked(content)
         time = max(min(time, _LATEST), -_LATEST)
         # A recorder writes a topic's messages as they come, so that an earlier time means that its clock was set.
         if time < topic.latest - _SET_BACK:
@@ -302,23 +301,15 @@ class RecordingRows:
                     plain = content_key(cleared, is_cdr=True)
         self._held[topic.table].append((key, plain, time, sender, topic.shift))
         topic.messages += 1
-        recording = self.recording
+        recording = self._recording
         recording.first = min(recording.first, time) if recording.messages else time
         recording.last = max(recording.last, time)
         recording.messages += 1
         if watch is not None:
-            watch(memoryview(content), time)
+            watch(content, time)
         self._count += 1
         if self._count >= ROWS_HELD:
             self.write()
-
-    def _unpacked(self, content: bytes | memoryview) -> bytes:
-        # The library reserves what the message asks for.
-        size = zstandard.get_frame_parameters(content).content_size
-        if size > LONGEST and size != zstandard.CONTENTSIZE_UNKNOWN:
-            raise DamageError(Damage.TOO_LONG(limit=LONGEST >> 20))
-        found: bytes = self._unpack.decompress(content, max_output_size=LONGEST)
-        return found
 
     def write(self) -> None:
         """Write the held rows to the database."""

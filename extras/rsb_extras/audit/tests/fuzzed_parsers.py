@@ -17,9 +17,9 @@ from rsb_extras.audit.comparing import AuditOptions, AuditReport, compare
 from rsb_extras.audit.defined_types import DefinitionError, defined_type
 from rsb_extras.audit.padding import Padding, PaddingError
 from rsb_extras.audit.recorded import offers_of
-from rsb_extras.audit.recording_files import RecordingError
 from rsb_extras.audit.tests.written import write_sides
 from rsb_extras.audit.unanswered import SeenCalls, SeenGoals
+from rsb_extras.recording.reading.stored_message import RecordingError
 
 
 def _read_recording(data: bytes) -> None:
@@ -64,7 +64,7 @@ def _read_events(data: bytes) -> None:
     assert len(goals.goals) <= len(data) / 25 + 1
 
 
-def _small(compression: CompressionType, in_chunks: bool) -> bytes:
+def small_mcap(compression: CompressionType, in_chunks: bool) -> bytes:
     file = BytesIO()
     writer: Any = Writer(file, compression=compression, use_chunking=in_chunks, enable_crcs=False, chunk_size=300)
     writer.start(profile="ros2", library="x")
@@ -78,7 +78,7 @@ def _small(compression: CompressionType, in_chunks: bool) -> bytes:
     return file.getvalue()
 
 
-def _bag() -> bytes:
+def small_bag() -> bytes:
     with closing(sqlite3.connect(":memory:")) as bag:
         bag.executescript(
             "PRAGMA page_size = 512;"
@@ -93,10 +93,10 @@ def _bag() -> bytes:
 
 
 _SEEDS = (
-    _bag(),
-    _small(CompressionType.NONE, True),
-    _small(CompressionType.NONE, False),
-    _small(CompressionType.LZ4, True),
+    small_bag(),
+    small_mcap(CompressionType.NONE, True),
+    small_mcap(CompressionType.NONE, False),
+    small_mcap(CompressionType.LZ4, True),
 )
 _EVENT = b"\0\1\0\0" + bytes(44)
 _STATUS = b"\0\1\0\0\2\0\0\0" + bytes(24) + b"\4" + bytes(16) + b"\0\0\0" + bytes(8) + b"\2"

@@ -22,11 +22,11 @@ from rosbags.typesys import Stores, get_typestore
 from tests.support.wording import says
 
 from rsb_extras.audit.audit_table import AuditText
-from rsb_extras.audit.recorded import LONGEST, Damage, offers_of
-from rsb_extras.audit.recording_files import UnreadableRecording
+from rsb_extras.audit.recorded import offers_of
 from rsb_extras.audit.tests.audit_places import TOPICS
 from rsb_extras.audit.tests.conftest import Audited, Sides
 from rsb_extras.audit.tests.written import START, Written, text
+from rsb_extras.recording.reading.stored_message import LONGEST, Damage, UnreadableRecording
 
 Run = Callable[..., Audited]
 NONE = QosTime(0, 0)

@@ -23,13 +23,13 @@ from rosbags.typesys import Stores, get_typestore
 from tests.support.wording import says
 
 from rsb_extras.audit.audit_table import AuditText
-from rsb_extras.audit.mcap_records import unpacked
-from rsb_extras.audit.recorded import DamageError, insert, new_database, offers_of
-from rsb_extras.audit.recording_files import UnreadableRecording
+from rsb_extras.audit.recorded import insert, new_database, offers_of
 from rsb_extras.audit.tests.audit_places import CALLS_REMEMBERED, INSERTS, MATCHES_HELD, NEW_DATABASE, PIECE, ROWS_HELD
 from rsb_extras.audit.tests.conftest import Audited, Sides
 from rsb_extras.audit.tests.written import START, Written, text
 from rsb_extras.audit.topic_pairs import PairText
+from rsb_extras.recording.reading.mcap_records import unpacked
+from rsb_extras.recording.reading.stored_message import DamageError, UnreadableRecording
 
 Run = Callable[..., Audited]
 
@@ -359,7 +359,7 @@ def test_full_disk_is_named(sides: Sides, monkeypatch: pytest.MonkeyPatch, ran: 
     for side in sides:
         side.done()
     done = ran("audit", str(sides.near.path), str(sides.far.path))
-    assert (done.code, says(done.err, UnreadableRecording.NO_ROOM)) == (2, True)
+    assert (done.code, says(done.err, AuditText.NO_ROOM)) == (2, True)
 
 
 # --- calls and goals
