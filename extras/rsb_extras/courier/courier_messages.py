@@ -59,9 +59,15 @@ class BeginPieces(ControlMessageBase, frozen=True, omit_defaults=True):
 
 
 class PiecesTaken(ControlMessageBase, frozen=True):
-    """Says how many pieces of a run have been kept; `WINDOW` more may be on their way."""
+    """Says what has come of a run: sent for each slice and each piece.
+
+    Attributes:
+        slices: those that have come.
+        taken: pieces that are kept; `WINDOW` more may be on their way.
+    """
 
     run: Count
+    slices: Count
     taken: Count
 
 

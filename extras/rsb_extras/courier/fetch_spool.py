@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from rsb_bridge.config.files import whole_file
+from rsb_bridge.config.files import UNFINISHED
 from rsb_bridge.feature_api import Count, Name, Wording, make_folder, replace_file
 from rsb_extras.courier.courier_records import Cursor, ListedRecording, Wanted
 from rsb_extras.courier.pieces import (
@@ -124,7 +124,7 @@ class FetchSpool:
         self._pieces += 1
 
     def add(self, piece: Piece, data: bytes) -> None:
-        """Keep a piece, which survives a power cut from then on.
+        """Keep a piece. One that a power cut takes is missed by its hash, and got again: no piece waits for the disk.
 
         Raises:
             PieceError: it is not the next one, or holds what no recording has.
@@ -137,11 +137,7 @@ class FetchSpool:
             problem = SpoolProblem.DISK_FULL(folder=self.folder.parent, least=_LEFT_FREE / 1e9)
             raise OSError(errno.ENOSPC, problem)
         check_follows(piece, self.at)
-        path = self._path(self._pieces + 1)
-        path.unlink(missing_ok=True)  # a broken one of before
-        path.with_name(f".{path.name}.part").unlink(missing_ok=True)
-        with whole_file(path) as file:
-            file.write(data)
+        self._path(self._pieces + 1).write_bytes(data)
         self._count(piece, len(data))
 
     def messages(self) -> Iterator[StoredMessage]:
@@ -162,7 +158,7 @@ class FetchSpool:
             InterruptedError: it was told to stop.
         """
         path = self.path
-        path.with_name(f".{path.name}.part").unlink(missing_ok=True)  # of a bridge that was killed
+        path.with_name(f".{path.name}{UNFINISHED}").unlink(missing_ok=True)  # of a bridge that was killed
         with new_recording(path) as recording:
             for message in self.messages():
                 recording.copy(message)

@@ -39,11 +39,14 @@ from rsb_extras.courier.courier_messages import (
 )
 from rsb_extras.courier.courier_records import MOST_RECORDINGS, PAGE
 from rsb_extras.courier.kept_recordings import KeptProblem, KeptRecordings, may_read
-from rsb_extras.courier.pieces import Cutter, PieceError, decode_piece, encode_piece
+from rsb_extras.courier.pieces import Cutter, PieceError, PieceProblem, decode_piece, encode_piece
+from rsb_extras.courier.slices import SLICE_HEAD, Pace, SliceJoiner
 from rsb_extras.recording.reading.open_recording import OpenRecording
 from rsb_extras.recording.reading.stored_message import RecordingError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from rsb_bridge.feature_api import Link, Rights, Route
     from rsb_bridge.model.session import Direction
     from rsb_extras.courier.courier_records import ListedRecording
@@ -54,11 +57,12 @@ _LISTED_WITHIN = 30.0
 """s for a page, for which the other side may read recordings for 5 s. A round figure."""
 _LISTS_A_SECOND = 1.0
 _PAGE_BYTES = 128 << 10  # of a page, unless one recording has more: a tenth of a control message
+_DEPTH = 16  # slices that may wait; 2 are under way
 _BEGINS, _BEGINS_WITHIN = 20, 60.0
 """Orders for pieces of a peer that are followed in so many s: each opens files and looks for a place."""
-_SILENT, _LONGEST_SILENCE, _LOOK_EVERY = 120.0, 3600.0, 5.0
-"""s without a piece, while the link is up, after which this side begins anew; twice as many each time. Round figures:
-a piece needs 50 s at 5 kB/s, and more beside topics."""
+_SILENT, _LOOK_EVERY = 120.0, 5.0
+"""s without a slice, while the link is up, after which this side begins anew. Round figures: the least slice takes
+0.4 s at 5 kB/s, and longer beside topics."""
 _ENDED = "the recording is here"
 
 
@@ -100,22 +104,38 @@ class _Sending:
     """A run of pieces for the peer.
 
     Attributes:
+        given: pieces that were made.
         taken: pieces that the peer has kept.
     """
 
     def __init__(self, order: BeginPieces) -> None:
         self.order = order
-        self.taken = 0
+        self.given = self.taken = 0
+        self.pace = Pace()
         self.news = asyncio.Event()
         self.task: asyncio.Task[None] | None = None
 
+    async def until(self, condition: Callable[[], bool]) -> None:
+        """Wait for news by which a condition holds."""
+        while not condition():
+            self.news.clear()
+            await self.news.wait()
+
 
 class _Receiving:
-    """A run of pieces for this side: what has come and is not kept yet, or why no more comes."""
+    """A run of pieces for this side.
+
+    Attributes:
+        arrivals: what has come and is not kept yet, or why no more comes.
+        slices: those that have come.
+        taken: pieces that are kept.
+    """
 
     def __init__(self, run: int) -> None:
         self.run = run
         self.arrivals: asyncio.Queue[bytes | Exception] = asyncio.Queue()
+        self.slices = self.taken = 0
+        self.joiner = SliceJoiner()
 
     def end(self, error: Exception) -> None:
         self.arrivals.put_nowait(error)
@@ -201,6 +221,7 @@ class LinkCourier(AskingExtension):
     def _taken(self, taken: PiecesTaken) -> None:
         if self._sending is not None and self._sending.order.run == taken.run:
             self._sending.taken = max(self._sending.taken, taken.taken)
+            self._sending.pace.heard(taken.slices, self._context.now())
             self._sending.news.set()
 
     def _end_sending(self) -> None:
@@ -245,20 +266,28 @@ class LinkCourier(AskingExtension):
                 raise FetchError(CourierProblem.NO_TOPIC(owner=rights.owner, peer=rights.peer, topic=topic))
 
     async def _send_pieces(self, sending: _Sending, source: BytesSource, cutter: Cutter, kept: Kept) -> None:
-        number, is_last = 0, False
+        is_last = False
         while not is_last:
-            while number >= sending.taken + WINDOW:
-                sending.news.clear()
-                await sending.news.wait()
+            await sending.until(lambda: sending.given < sending.taken + WINDOW)
             piece = await asyncio.to_thread(cutter.next)
             self._check(sending.order)  # a reload may have taken the right away
             if await asyncio.to_thread(kept.has_changed):
                 raise FetchError(KeptProblem.CHANGED())
-            number, is_last = piece.number, piece.is_last
-            await asyncio.to_thread(source.send, encode_piece(piece), self._context.wall_ns())
-            if source.closed:
-                return
+            sending.given, is_last = piece.number, piece.is_last
+            await self._send_slices(sending, source, encode_piece(piece))
         self._log(kept, begins=False)
+
+    async def _send_slices(self, sending: _Sending, source: BytesSource, piece: bytes) -> None:
+        pace, at = sending.pace, 0
+        while at < len(piece):
+            await sending.until(lambda: pace.is_open)
+            part = piece[at : at + pace.size]
+            head = SLICE_HEAD.pack(sending.order.run & 0xFFFFFFFF, sending.given, at, len(piece))
+            pace.sent(self._context.now())
+            await asyncio.to_thread(source.send, head + part, self._context.wall_ns())
+            if source.closed:
+                raise LinkError(CourierProblem.NO_ROUTE())
+            at += len(part)
 
     def _log(self, kept: Kept, *, begins: bool) -> None:
         text = f"{kept.path}: {self._link.peer_name} {'gets it' if begins else 'has got it'}"
@@ -313,17 +342,12 @@ class LinkCourier(AskingExtension):
         try:
             order = BeginPieces(self._run, route.id, spool.asked.wanted, spool.at, tuple(sorted(spool.known)))
             self._link.send(order)
-            number = 0
             while not spool.is_whole:
                 data = await self._arrival(receiving, route, order)
                 piece = decode_piece(data)
-                if piece.run != receiving.run:
-                    continue  # of an order before
-                number += 1
-                if piece.number != number:
-                    raise LinkError(CourierProblem.GAP())
                 await asyncio.to_thread(spool.add, piece, data)
-                self._link.send(PiecesTaken(receiving.run, number))
+                receiving.taken += 1
+                self._tell(receiving)
         except PieceError as error:
             raise FetchError(CourierProblem.LIES(link=self._link.name, error=error)) from None
         finally:
@@ -336,9 +360,8 @@ class LinkCourier(AskingExtension):
             self._link.table.remove(route, _ENDED)
 
     async def _arrival(self, receiving: _Receiving, route: Route, order: BeginPieces) -> bytes:
-        silent = 0.0
-        limit = _SILENT
-        while silent < limit:
+        silent, slices = 0.0, receiving.slices
+        while silent < _SILENT:
             try:
                 async with asyncio.timeout(_LOOK_EVERY):
                     arrived = await receiving.arrivals.get()
@@ -346,11 +369,13 @@ class LinkCourier(AskingExtension):
                 if route.id != order.route:
                     raise LinkError(CourierProblem.LOST()) from None
                 silent += _LOOK_EVERY if self._link.linked else 0.0
+                if receiving.slices != slices:
+                    silent, slices = 0.0, receiving.slices
                 continue
             if isinstance(arrived, Exception):
                 raise arrived
             return arrived
-        raise LinkError(CourierProblem.SILENT(link=self._link.name, seconds=limit))
+        raise LinkError(CourierProblem.SILENT(link=self._link.name, seconds=_SILENT))
 
     async def _opened(self) -> Route:
         """Return the route for pieces, once they can cross on it."""
@@ -358,7 +383,7 @@ class LinkCourier(AskingExtension):
             self._number += 1
             direction: Direction = "receive" if self._link.is_client else "transmit"
             self._route = self._internal.open(
-                PIECES.route_name(str(self._number)), direction, depth=2 * WINDOW, compression="none", priority="low"
+                PIECES.route_name(str(self._number)), direction, depth=_DEPTH, compression="none", priority="low"
             )
         route = self._route
         drain = self._internal.drain(route) if await self._internal.opened(route) else None
@@ -373,14 +398,32 @@ class LinkCourier(AskingExtension):
         return route
 
     def _arrived(self, data: bytes) -> None:
-        receiving = self._receiving
-        if receiving is None:
+        receiving, head = self._receiving, data[: SLICE_HEAD.size]
+        if receiving is None or len(head) < SLICE_HEAD.size:
             return
-        if receiving.arrivals.qsize() > WINDOW:
-            receiving.end(FetchError(CourierProblem.LIES(link=self._link.name, error="too many pieces")))
-            self._receiving = None
+        run, number, offset, size = SLICE_HEAD.unpack(head)
+        if run != receiving.run & 0xFFFFFFFF:  # of an order before
             return
-        receiving.arrivals.put_nowait(data)
+        receiving.slices += 1
+        try:
+            piece = receiving.joiner.add(number, offset, size, data[SLICE_HEAD.size :])
+            if piece is not None and receiving.arrivals.qsize() >= WINDOW:
+                raise PieceError(PieceProblem.TOO_MANY())
+        except LookupError:
+            self._stop(receiving, LinkError(CourierProblem.GAP()))
+        except PieceError as error:
+            self._stop(receiving, FetchError(CourierProblem.LIES(link=self._link.name, error=error)))
+        else:
+            if piece is not None:
+                receiving.arrivals.put_nowait(piece)
+            self._tell(receiving)
+
+    def _stop(self, receiving: _Receiving, error: Exception) -> None:
+        receiving.end(error)
+        self._receiving = None
+
+    def _tell(self, receiving: _Receiving) -> None:
+        self._link.send(PiecesTaken(receiving.run, receiving.slices, receiving.taken))
 
     def _ended(self, ended: PiecesEnded) -> None:
         if self._receiving is not None and self._receiving.run == ended.run:

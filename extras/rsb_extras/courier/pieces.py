@@ -52,6 +52,7 @@ class PieceProblem(Wording):
     OUT_OF_ORDER = "messages are not in order"
     TOO_LONG = "a message has more than {limit} MiB"
     TOO_MANY_CHANNELS = "more than {most} channels"
+    TOO_MANY = "more pieces than were asked for"
     CUT = "the last message is cut off"
 
 

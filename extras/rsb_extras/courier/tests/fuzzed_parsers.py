@@ -24,7 +24,7 @@ _MESSAGES = (
     RecordingsAnswer(1, (DRIVE,), more=True),
     RecordingsAnswer(1, problem="no"),
     BeginPieces(1, 2, _WANTED, Cursor(1, 2, 3), (b"12345678",)),
-    PiecesTaken(1, 4),
+    PiecesTaken(1, 9, 4),
     PiecesEnded(1, "the recording has changed", is_final=True),
 )
 _OWN = tuple(type(each) for each in _MESSAGES)

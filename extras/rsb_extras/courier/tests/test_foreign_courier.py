@@ -32,8 +32,8 @@ from rsb_extras.courier.courier_records import Cursor, ListedRecording, Wanted
 from rsb_extras.courier.courier_requests import FetchState
 from rsb_extras.courier.pieces import Piece, PieceContent, encode_piece
 from rsb_extras.courier.tests.bags import BEGAN, messages, write_bag
+from rsb_extras.courier.tests.courier_bed import fetch, report, robot_features, two_sides
 from rsb_extras.courier.tests.courier_places import ENCODED_PIECE, LEFT_FREE, LIST_PAGE
-from rsb_extras.courier.tests.test_courier_over_links import fetch, report, robot_features, two_sides
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -65,7 +65,9 @@ def proposed(peer: Rogue, name: str = "pieces/1", *, sends: bool = False) -> tup
             type=PIECES.type_name,
         )
     )  # fmt: skip
-    return number, peer.wait_for(Accept, Refuse)
+    answer = peer.wait_for(Accept, Refuse)
+    assert isinstance(answer, Accept | Refuse)
+    return number, answer
 
 
 def ended(peer: Rogue, order: BeginPieces) -> PiecesEnded:
@@ -155,7 +157,7 @@ def test_answers_that_nobody_waits_for_change_nothing(bridge: Bridge, bags: Path
     engine = server(bridge, bags)
     with rogue(bridge, "courier", "recording") as peer:
         eventually(lambda: engine.snapshot().links[0].state is State.OK, what="a link")
-        peer.say(RecordingsAnswer(7, more=True), PiecesTaken(3, 2**53), PiecesEnded(1, "no", is_final=True))
+        peer.say(RecordingsAnswer(7, more=True), PiecesTaken(3, 2**53, 2**53), PiecesEnded(1, "no", is_final=True))
         assert asks(peer).problem == ""
         assert link(engine).linked
 
@@ -228,7 +230,8 @@ def _cut_off(piece: Piece) -> bytes:
         (_no_channel, "a message has no channel"),
         (_out_of_order, "messages are not in order"),
         (_cut_off, "the last message is cut off"),
-        (lambda _: b"", "a piece is damaged"),
+        (lambda _: b"x", "a piece is damaged"),
+        (lambda _: bytes(2 << 20), "a piece is damaged"),
     ],
 )
 def test_a_piece_that_lies_ends_the_fetch(
