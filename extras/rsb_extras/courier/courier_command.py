@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 
 from msgspec.structs import asdict
 
-from rsb_bridge.feature_api import EngineError, Wording
-from rsb_bridge.model.text import one_line
+from rsb_bridge.feature_api import EngineError, Wording, one_line
 from rsb_bridge.model.verdict import duration
 from rsb_console.feature_console import (
     FAILURE,
