@@ -33,12 +33,13 @@ BRINGS: Mapping[str, str] = {
     **dict.fromkeys(("hear_rosout", "show_nodes"), "nodes"),
     **dict.fromkeys(("diagnostics_topic", "driver_topic", "metrics", "on_fault"), "exporters"),
     "record": "recording",
+    "recordings": "courier",
     **dict.fromkeys(("frame_prefix", "restamp", "restamp_within"), "frames"),
     "units": "units",
     "zenoh": "zenoh",
 }
 """Keys of session files, with the feature of this project that brings each, for messages where it is missing."""
-BRINGS_RIGHTS: Mapping[str, str] = {"nodes": "node_control", "units": "units"}
+BRINGS_RIGHTS: Mapping[str, str] = {"nodes": "node_control", "recordings": "courier", "units": "units"}
 """The same of rights of a link's other side, the keys of `MAY`."""
 BRINGS_TRANSPORTS: Mapping[str, str] = {"zenoh": "zenoh", "zenoh-drop": "zenoh"}
 """The same of transports."""
@@ -53,7 +54,7 @@ BRINGS_ACTIONS: Mapping[str, str] = {
     "demo": "demo", "drive": "driving", "history": "history", "import_session": "imports", "keep_event": "disk_ring",
     "lifecycle": "node_control",
     "look": "pictures", "nodes": "nodes", "parameters": "node_control", "publish": "driving", "record": "recording",
-    "units": "units",
+    "recordings": "courier", "units": "units",
     **dict.fromkeys(("dismiss", "edit_marked", "mark", "open_robot"), "fleet"),
 }  # fmt: skip
 """The same of actions of the console, by their ids in ``keys.yaml``."""

@@ -40,6 +40,8 @@ ASKING = [
     "client add pc.yaml robot3", "client show robot1", "client rekey robot1",
     "client rekey pc.yaml robot1", "client rekey pc.yaml robot1 --keep-old", "client rekey robot1 --finish --yes",
     "client remove robot1", "client remove pc.yaml robot1", "bench --quick --seconds 1", "doctor pc.yaml",
+    "record list", "record list robot1 --json", "record get robot1 '' --no-wait", "record get robot1 '' --from 1",
+    "record get robot1 x", "record get robot1 x --json", "record cancel ''",
     "nodes", "nodes --json", "units", "units --json", "units restart '' --yes",
     "lifecycle", "lifecycle --json", "lifecycle up '' --yes",
     "params list", "params list --json", "params list /n --link robot1", "params list /n --link robot1 --json",

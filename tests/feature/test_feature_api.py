@@ -24,6 +24,7 @@ APIS = [feature_api, feature_console]
 BEYOND = {
     "audit": 23,
     "bench": 33,
+    "courier": 8,
     "demo": 29,
     "doctor": 68,
     "driving": 55,

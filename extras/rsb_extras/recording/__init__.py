@@ -82,12 +82,12 @@ class RecordingFeature(Feature):
         return (Keeping(bridge),)
 
     def subcommands(self, add: AddCommand, complete: Complete) -> None:
-        from rsb_console.feature_console import EXIT, named_bridge_options, subcommand  # noqa: PLC0415
+        from rsb_console.feature_console import EXIT, bridge_options, subcommand  # noqa: PLC0415
 
         summary = "write the last seconds of all bridged topics to a file (MCAP)"
         place = "rsb_extras.recording.record_command:record"
         parser = add("record", subcommand(place), summary, EXIT, after="report")
-        named_bridge_options(parser, complete)
+        bridge_options(parser, complete)
         parser.add_argument(
             "--seconds", type=float, default=None, metavar="N", help="how many; without it, all that is kept"
         )

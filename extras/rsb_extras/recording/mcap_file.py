@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 from typing import IO, TYPE_CHECKING, Any, NamedTuple
 
 import yaml
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from rsb_bridge.feature_api import Qos
+    from rsb_extras.recording.reading.stored_message import StoredChannel, StoredMessage
 
 _LONGEST = (1 << 64) - 1  # ns; a time of MCAP
 _NUMBERS = 1 << 32  # of messages, after which they begin again
@@ -77,6 +79,7 @@ class McapFile:
         self._writer.start(profile="ros2", library="rsb-console")
         self._schemas: dict[str, int] = {}
         self._channels: dict[RecordedTopic, int] = {}
+        self._copied: dict[StoredChannel, int] = {}
 
     def add(self, topic: RecordedTopic, content: bytes, time: int, published: int, number: int = 0) -> None:
         """Write a message.
@@ -101,6 +104,30 @@ class McapFile:
     def flush(self) -> None:
         """Hand what is added so far to the system, as a chunk that can be read without the end of the file."""
         self._writer.flush()
+
+    def copy(self, message: StoredMessage) -> None:
+        """Write a message of another recording with all that stands there; raises OSError."""
+        channel = self._copied.get(message.channel)
+        if channel is None:
+            channel = self._copied[message.channel] = self._copied_channel(message.channel)
+        time, published, number = message.time, message.published, message.number % _NUMBERS
+        self._writer.add_message(channel, time, bytes(message.content), published, number)
+        self.messages += 1
+
+    def _copied_channel(self, stored: StoredChannel) -> int:
+        encoding, definition = stored.definition
+        key = f"{stored.type_name}\0{encoding}\0{hashlib.sha256(definition).hexdigest()}"
+        schema = self._schemas.get(key)
+        if schema is None:
+            schema = self._schemas[key] = self._writer.register_schema(stored.type_name, encoding, definition)
+        metadata = {
+            "offered_qos_profiles": stored.profiles,
+            "topic_type_hash": stored.type_hash,
+            "publisher": stored.publisher,
+        }
+        known = {name: value for name, value in metadata.items() if value}
+        channel: int = self._writer.register_channel(stored.topic, stored.encoding, schema, known)
+        return channel
 
     def finish(self) -> None:
         """Write the end of the file: index and statistics."""

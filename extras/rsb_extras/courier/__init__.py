@@ -1,0 +1,116 @@
+"""Courier: recordings of the other side of a link, brought here over it in pieces, over cuts, restarts and days."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from rsb_bridge.feature_api import Feature, PeerRight, SessionKey
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+    from pathlib import Path
+
+    from rsb_bridge.feature_api import Bridge, Command, ControlMessageBase, EnginePart, Extension, Link, Purpose
+    from rsb_console.feature_console import Action, Complete
+
+
+class RecordingFolders(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Where recordings are.
+
+    Attributes:
+        folders: their absolute paths, beside the bridge's own.
+    """
+
+    folders: tuple[str, ...] = ()
+
+
+RECORDINGS_KEY: SessionKey[RecordingFolders] = SessionKey(
+    "recordings", RecordingFolders, RecordingFolders(), live=True, hidden_as="folders"
+)
+"""The folders of recordings of this machine that operators list, and peers with the right get."""
+MAY_FETCH: PeerRight[bool] = PeerRight("recordings", bool, False)
+"""Whether the other side may list and get this side's recordings, of the topics that it may read."""
+
+
+class Courier(Feature):
+    name = "courier"
+    needs = ("recording",)
+
+    def session_keys(self) -> Iterable[SessionKey[Any]]:
+        return (RECORDINGS_KEY,)
+
+    def rights(self) -> Iterable[PeerRight[Any]]:
+        return (MAY_FETCH,)
+
+    def problems(self, session: Any) -> Iterable[tuple[str, str]]:
+        from rsb_extras.courier import courier_rules  # noqa: PLC0415 -- `Feature` says why, here and below
+
+        return courier_rules.problems(session)
+
+    def advice(self, session: Any, file: Path | None) -> Iterable[tuple[str, str]]:
+        from rsb_extras.courier import courier_rules  # noqa: PLC0415
+
+        return courier_rules.advice(session, file)
+
+    def effects(self, session: Any) -> Iterable[str]:
+        from rsb_extras.courier import courier_rules  # noqa: PLC0415
+
+        return courier_rules.effects(session)
+
+    def messages(self) -> Iterable[type[ControlMessageBase]]:
+        from rsb_extras.courier.courier_messages import (  # noqa: PLC0415
+            AskRecordings,
+            BeginPieces,
+            PiecesEnded,
+            PiecesTaken,
+            RecordingsAnswer,
+        )
+
+        return AskRecordings, RecordingsAnswer, BeginPieces, PiecesTaken, PiecesEnded
+
+    def purposes(self) -> Iterable[Purpose]:
+        from rsb_extras.courier.courier_messages import PIECES  # noqa: PLC0415
+
+        return (PIECES,)
+
+    def extensions(self, link: Link) -> Iterable[Extension]:
+        from rsb_extras.courier.link_courier import LinkCourier  # noqa: PLC0415
+
+        return (LinkCourier(link),)
+
+    def commands(self) -> Iterable[type[Command[Any]]]:
+        from rsb_extras.courier.courier_requests import (  # noqa: PLC0415
+            CancelFetch,
+            FetchRecording,
+            ListFetches,
+            ListRecordings,
+        )
+
+        return ListRecordings, FetchRecording, ListFetches, CancelFetch
+
+    def parts(self, bridge: Bridge) -> Iterable[EnginePart]:
+        from rsb_extras.courier.courier_part import CourierPart  # noqa: PLC0415
+
+        return (CourierPart(bridge),)
+
+    def options(self, commands: Mapping[str, Any], complete: Complete) -> None:
+        from rsb_extras.courier.courier_arguments import add_to_record  # noqa: PLC0415
+
+        add_to_record(commands["record"], complete)
+
+    def actions(self) -> Iterable[Action]:
+        from rsb_console.feature_console import Action, Group, late  # noqa: PLC0415
+        from rsb_extras.courier.courier_arguments import CHAPTER  # noqa: PLC0415
+
+        return (
+            Action(
+                "recordings", "F", "recordings", "Show the recordings of both sides, and get one from the other side",
+                Group.OPERATE, also="fetch, download, mcap, bag, rosbag, courier",
+                run=late("rsb_extras.courier.courier_screen:show_recordings"), chapters=(CHAPTER,), after="record",
+            ),
+        )  # fmt: skip
+
+
+FEATURE = Courier()

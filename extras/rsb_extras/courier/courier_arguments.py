@@ -1,0 +1,44 @@
+"""The arguments that lists and fetches add to the command ``record``, and the keys of the screen of recordings."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rsb_console.feature_console import KeyChapter, subcommand
+
+if TYPE_CHECKING:
+    import argparse
+
+    from rsb_console.feature_console import Complete
+
+ACTIONS = ("list", "get", "cancel")
+_MORE = """\
+With `list`, recordings of both sides are listed, or of one link. With `get`, one of
+the other side is brought here, whole or by topics and times, over cuts and restarts
+of both bridges; Ctrl-C only ends the display. The other side's session permits
+it: may: {recordings: true}.
+
+for example:
+  rsb-console record
+  rsb-console record list robot1
+  rsb-console record get robot1 robot1-20260730-101500-fault /scan /tf --from -30
+  rsb-console record cancel robot1-robot1-20260730-101500-fault
+"""
+CHAPTER = KeyChapter(
+    "Recordings", "RecordingsScreen",
+    (("enter g", "get the recording from the other side"), ("x", "give up its fetch, after a question"),
+     ("esc", "close")),
+)  # fmt: skip
+
+
+def add_to_record(parser: argparse.ArgumentParser, complete: Complete) -> None:
+    parser.epilog = f"{_MORE}\n{parser.epilog or ''}"
+    parser.set_defaults(command=subcommand("rsb_extras.courier.courier_command:record"))
+    actions = "list recordings, get one, or give a fetch up; without it, write the last seconds"
+    parser.add_argument("action", nargs="?", choices=ACTIONS, help=actions)
+    words = "list: LINK; get: LINK RECORDING TOPIC...; cancel: the fetch's name"
+    complete(parser.add_argument("words", nargs="*", metavar="WORD", help=words), "links")
+    when = "a time as list prints it, or seconds from the begin, or with - from the end"
+    parser.add_argument("--from", dest="begin", metavar="TIME", help=f"get: from then on; {when}")
+    parser.add_argument("--to", dest="end", metavar="TIME", help="get: up to then; the same")
+    parser.add_argument("--no-wait", action="store_true", help="get: end at once; the bridge goes on")

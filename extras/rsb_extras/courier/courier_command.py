@@ -1,0 +1,257 @@
+"""The commands ``record list``, ``record get`` and ``record cancel``."""
+
+from __future__ import annotations
+
+import re
+import sys
+import time
+from datetime import datetime
+from typing import TYPE_CHECKING
+
+from msgspec.structs import asdict
+
+from rsb_bridge.feature_api import EngineError, Wording, one_line
+from rsb_bridge.model.verdict import duration
+from rsb_console.feature_console import (
+    FAILURE,
+    OK,
+    UsageError,
+    attached,
+    done,
+    json_line,
+    print_error,
+    print_line,
+    result,
+    side_of,
+    table_lines,
+)
+from rsb_console.notation.formats import byte_count
+from rsb_extras.courier.courier_records import LATEST
+from rsb_extras.courier.courier_requests import (
+    LISTED_WITHIN,
+    CancelFetch,
+    FetchRecording,
+    FetchState,
+    ListFetches,
+    ListRecordings,
+)
+from rsb_extras.recording.record_command import record as record_last
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+    from collections.abc import Callable, Iterator
+
+    from rsb_bridge.feature_api import RemoteEngine
+    from rsb_extras.courier.courier_records import ListedRecording
+    from rsb_extras.courier.courier_requests import FetchReport, RecordingGroup
+
+HEADINGS = "RECORDING", "SIDE", "BEGIN", "SPAN", "SIZE", "CAUSE", "TOPICS"
+_EVERY = 0.5  # s between two looks at a fetch
+_BAR = 20  # cells
+_NOTHING = "-"
+_TIME = "%Y-%m-%dT%H:%M:%S"
+
+
+class CourierCommandText(Wording):
+    ALONE = "without list, get or cancel, record takes no {what}"
+    LIST_WORDS = "record list: give one link at most"
+    GET_WORDS = "record get: give a link and a recording, as `rsb-console record list` prints them"
+    CANCEL_WORDS = "record cancel: give the name of one fetch"
+    GET_ONLY = "record {action} takes no {option}"
+    TIME = "{option} {value}: give seconds (12.5, or -30 before the end) or a time (2026-07-30T10:15:00)"
+    EMPTY = "--to is before --from"
+    NO_SPAN = "{name} does not say when it begins: leave out --from and --to"
+    NONE = "neither side has recordings"
+    PROBLEM = "{side}: {problem}"
+    BEGUN = "{name}: the bridge gets it; `rsb-console record list` tells how far it is"
+    GOES_ON = "{name}: the bridge goes on; `rsb-console record cancel {name}` gives it up"
+    DONE = "{messages:,} messages, {size} crossed: {path}"
+    DONE_THERE = "{messages:,} messages, {size} crossed: {path} on the bridge's machine"
+    FAILED = "{name}: {reason}"
+    GONE = "{name}: the bridge knows nothing of it any more: look at `rsb-console record list`"
+    CANCELLED = "{name} is given up"
+    FETCH = "{name} of {side}: {text}"
+    PROGRESS = "{share:3.0%}, {size}"
+    RATE = "{rate}/s"
+    REST = "{rest} left"
+
+
+def record(arguments: Namespace) -> int:
+    """Write the last seconds, or do with recordings what `action` says."""
+    action = arguments.action
+    options = {"--from": arguments.begin, "--to": arguments.end, "--no-wait": arguments.no_wait or None}
+    given = [option for option, value in options.items() if value is not None]
+    if action is None:
+        if given or arguments.words:
+            raise UsageError(CourierCommandText.ALONE(what=given[0] if given else one_line(arguments.words[0])))
+        return record_last(arguments)
+    given = [*(given if action != "get" else ()), *_of_last(arguments)]
+    if given:
+        raise UsageError(CourierCommandText.GET_ONLY(action=action, option=given[0]))
+    return {"list": _list, "get": _get, "cancel": _cancel}[action](arguments)
+
+
+def _of_last(arguments: Namespace) -> Iterator[str]:
+    for option in ("seconds", "output"):
+        if getattr(arguments, option) is not None:
+            yield f"--{option}"
+
+
+def _list(arguments: Namespace) -> int:
+    if len(arguments.words) > 1:
+        raise UsageError(CourierCommandText.LIST_WORDS())
+    link = arguments.words[0] if arguments.words else ""
+    with attached(arguments) as engine:
+        groups = engine.do(ListRecordings(link)).result(LISTED_WITHIN)
+        fetches = result(engine.do(ListFetches(link)))
+        role = engine.bridge.role
+    problems = [group for group in groups if group.problem]
+    if link and problems:
+        raise EngineError(problems[0].problem)
+    if arguments.json:
+        listed = [{"link": group.link} | _as_data(each) for group in groups for each in newest_first(group)]
+        texts = {group.link: group.problem for group in problems}
+        return done(arguments, recordings=listed, fetches=[asdict(each) for each in fetches], problems=texts)
+    rows = [(each.name, side_of(role, group.link), *texts_of(each)) for group in groups for each in newest_first(group)]
+    for line in table_lines(HEADINGS, rows) if rows else ([] if problems else [CourierCommandText.NONE()]):
+        print_line(line)
+    for fetch in fetches:
+        side = side_of(role, fetch.link)
+        print_line(CourierCommandText.FETCH(name=fetch.name, side=side, text=fetch_text(fetch)))
+    for group in problems:
+        print_error(CourierCommandText.PROBLEM(side=side_of(role, group.link), problem=group.problem))
+    return OK
+
+
+def _as_data(listed: ListedRecording) -> dict[str, object]:
+    topics = [{"name": each.name, "type": each.type_name, "messages": each.messages} for each in listed.topics]
+    return asdict(listed) | {"topics": topics}
+
+
+def newest_first(group: RecordingGroup) -> list[ListedRecording]:
+    return sorted(group.recordings, key=lambda each: (each.begin, each.name), reverse=True)
+
+
+def texts_of(listed: ListedRecording) -> tuple[str, str, str, str, str]:
+    """Return the begin, span, size, cause and number of topics of a recording, in words."""
+    begin = datetime.fromtimestamp(listed.begin / 1e9).strftime(_TIME) if _has_date(listed) else _NOTHING
+    span = duration((listed.end - listed.begin) / 1e9) if listed.end > listed.begin else _NOTHING
+    topics = len(listed.topics) + listed.more_topics
+    return begin, span, byte_count(listed.size), listed.cause or _NOTHING, f"{topics}" if topics else _NOTHING
+
+
+def _has_date(listed: ListedRecording) -> bool:
+    return 0 < listed.begin < 4_000_000_000_000_000_000  # 2096; what comes later has no date on every machine
+
+
+def fetch_text(fetch: FetchReport) -> str:
+    """Return how a fetch goes, in words."""
+    if fetch.state is FetchState.DONE:
+        return CourierCommandText.DONE(messages=fetch.messages, size=byte_count(fetch.taken), path=fetch.path)
+    if fetch.state is FetchState.FAILED:
+        return fetch.reason
+    parts = [CourierCommandText.PROGRESS(share=fetch.share, size=byte_count(fetch.taken))]
+    if fetch.rate:
+        parts.append(CourierCommandText.RATE(rate=byte_count(round(fetch.rate))))
+    if fetch.rest is not None:
+        parts.append(CourierCommandText.REST(rest=duration(fetch.rest)))
+    return ", ".join([*parts, fetch.reason or fetch.state])
+
+
+def _get(arguments: Namespace) -> int:
+    if len(arguments.words) < 2:
+        raise UsageError(CourierCommandText.GET_WORDS())
+    link, name, *topics = arguments.words
+    begin, end = _time_of("--from", arguments.begin), _time_of("--to", arguments.end)
+    with attached(arguments) as engine:
+        first, last = 0, LATEST
+        if begin is not None or end is not None:
+            listed = _listed(engine, link, name)
+            first = 0 if begin is None else begin(listed)
+            last = LATEST if end is None else end(listed)
+            if last < first:
+                raise UsageError(CourierCommandText.EMPTY())
+        fetch = engine.do(FetchRecording(link, name, tuple(topics), first, last)).result(LISTED_WITHIN)
+        if arguments.no_wait:
+            return done(arguments, CourierCommandText.BEGUN(name=fetch), fetch=fetch)
+        return _wait(engine, arguments, fetch)
+
+
+def _listed(engine: RemoteEngine, link: str, name: str) -> ListedRecording:
+    """Return the recording whose begin and end times are meant by seconds, if there is one by that name."""
+    groups = engine.do(ListRecordings(link)).result(LISTED_WITHIN)
+    found = [each for group in groups for each in group.recordings if name in (each.id, each.name)]
+    found = found or [each for group in groups for each in group.recordings if each.name.startswith(name)]
+    if groups and groups[0].problem:
+        raise EngineError(groups[0].problem)
+    if len(found) != 1 or not found[0].begin:
+        raise UsageError(CourierCommandText.NO_SPAN(name=one_line(name)))
+    return found[0]
+
+
+def _time_of(option: str, text: str | None) -> Callable[[ListedRecording], int] | None:
+    """Return what makes a time (ns since the epoch) of an option for a recording, or None if it is not given."""
+    if text is None:
+        return None
+    if re.fullmatch(r"[+-]?[0-9]{1,9}(\.[0-9]{1,9})?", text):
+        offset = round(float(text) * 1e9)
+        return lambda listed: min(max(0, (listed.end if text.startswith("-") else listed.begin) + offset), LATEST)
+    try:
+        moment = round(datetime.fromisoformat(text).timestamp() * 1e9)
+    except (ValueError, OverflowError, OSError):
+        raise UsageError(CourierCommandText.TIME(option=option, value=one_line(text))) from None
+    return lambda _: min(max(0, moment), LATEST)
+
+
+def _wait(engine: RemoteEngine, arguments: Namespace, name: str) -> int:
+    """Show a fetch until it is over; Ctrl-C leaves it to the bridge."""
+    has_bar = sys.stdout.isatty() and not arguments.json
+    try:
+        while True:
+            fetch = next((each for each in result(engine.do(ListFetches())) if each.name == name), None)
+            if fetch is None:
+                raise EngineError(CourierCommandText.GONE(name=one_line(name)))
+            if fetch.state in (FetchState.DONE, FetchState.FAILED):
+                break
+            if has_bar:
+                _draw(bar_text(fetch))
+            time.sleep(_EVERY)
+    except KeyboardInterrupt:
+        if has_bar:
+            _draw("")
+        print_error(CourierCommandText.GOES_ON(name=name))
+        raise
+    if has_bar:
+        _draw("")
+    return _tell(engine, arguments, fetch)
+
+
+def _draw(text: str) -> None:
+    sys.stdout.write(f"\r\x1b[K{text}")
+    sys.stdout.flush()
+
+
+def bar_text(fetch: FetchReport) -> str:
+    full = round(fetch.share * _BAR)
+    return f"[{'#' * full}{'.' * (_BAR - full)}] {fetch_text(fetch)}"
+
+
+def _tell(engine: RemoteEngine, arguments: Namespace, fetch: FetchReport) -> int:
+    is_done = fetch.state is FetchState.DONE
+    if arguments.json:
+        data = asdict(fetch)
+        print_line(json_line({"ok": is_done} | ({} if is_done else {"error": fetch.reason}) | data))
+    elif is_done:
+        text = CourierCommandText.DONE if engine.trusted else CourierCommandText.DONE_THERE
+        print_line(text(messages=fetch.messages, size=byte_count(fetch.taken), path=fetch.path))
+    else:
+        print_error(CourierCommandText.FAILED(name=fetch.name, reason=fetch.reason))
+    return OK if is_done else FAILURE
+
+
+def _cancel(arguments: Namespace) -> int:
+    if len(arguments.words) != 1:
+        raise UsageError(CourierCommandText.CANCEL_WORDS())
+    with attached(arguments) as engine:
+        result(engine.do(CancelFetch(arguments.words[0])))
+    return done(arguments, CourierCommandText.CANCELLED(name=one_line(arguments.words[0])))

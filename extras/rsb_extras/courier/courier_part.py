@@ -1,0 +1,347 @@
+"""Lists recordings of both sides, and gets those of the other side: each fetch goes on until it is done or given up.
+
+Fetches live in folders of their own, so that they outlive this process; one at a time of each link is under way.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+from collections import deque
+from functools import partial
+from typing import TYPE_CHECKING, NamedTuple
+
+from rsb_bridge.feature_api import (
+    TEXT_LENGTH,
+    EnginePart,
+    Level,
+    LinkError,
+    Wording,
+    file_stem,
+    link_named,
+    operator,
+    sanitize_text,
+    why_not_written,
+)
+from rsb_extras.courier import RECORDINGS_KEY
+from rsb_extras.courier.courier_records import ListedRecording, Wanted
+from rsb_extras.courier.courier_requests import (
+    CancelFetch,
+    FetchRecording,
+    FetchReport,
+    FetchState,
+    ListFetches,
+    ListRecordings,
+    RecordingGroup,
+)
+from rsb_extras.courier.fetch_spool import SPOOL, AskedFetch, FetchSpool
+from rsb_extras.courier.kept_recordings import KeptRecordings
+from rsb_extras.courier.link_courier import CourierCode, FetchError, LinkCourier
+from rsb_extras.courier.pieces import PieceError
+from rsb_extras.recording.mcap_file import McapError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from rsb_bridge.feature_api import Bridge, Link, Snapshot
+
+MOST_FETCHES = 16
+"""Under way or waiting. A round figure: one of a link comes after the other."""
+_REMEMBERED = 16
+"""Fetches that have ended, which are still reported."""
+_AGAIN_AFTER, _DISK_AGAIN_AFTER = 2.0, 30.0
+"""s until a fetch is tried again: after the other side did not give it, and after the disk took nothing."""
+_RATE_OVER = 30.0
+"""s over which the rate is reckoned: some pieces at 1 Mbit/s. A round figure."""
+
+
+class FetchProblem(Wording):
+    """The reason why there is no fetch."""
+
+    UNKNOWN = "{link} lists no recording {name}: see rsb-console record list {link}"
+    SEVERAL = "{link} has several recordings {name}: give its id, one of {ids}"
+    NO_TOPIC = "recording {name} has no topic {topic} that this side may read; it has {topics}"
+    TOO_MANY_TOPICS = "recording {name} has more topics than cross at once: name those to get"
+    NO_TOPICS = "recording {name} has no topic that this side may read{problem}"
+    SPAN = "recording {name} has nothing in this span: it has {seconds:.0f} s"
+    TOO_MANY = "{most} fetches are under way: cancel one of them, or wait"
+    NO_FETCH = "there is no fetch {name} under way"
+    NOT_WRITTEN = "{path} is not written: {reason}"
+    NO_LINK = "waits for {link}: {reason}"
+    NEXT = "waits for another fetch of {link}"
+    GONE = "this session has no link {link} now"
+    CANCELLED = "given up by {who}"
+    STOPS = "the bridge stops"
+
+
+class _Progress(NamedTuple):
+    at: float
+    taken: int
+    share: float
+
+
+class Fetch:
+    """A fetch of this process.
+
+    Attributes:
+        reason: why it waits, or has failed.
+        again_at: s, before which it is not tried again.
+    """
+
+    def __init__(self, spool: FetchSpool, now: float) -> None:
+        self.spool = spool
+        self.state = FetchState.WAITING
+        self.reason = ""
+        self.again_at = now
+        self.messages = 0
+        self.task: asyncio.Task[None] | None = None
+        self._progress = deque([_Progress(now, spool.taken, self.share)])
+
+    @property
+    def asked(self) -> AskedFetch:
+        return self.spool.asked
+
+    @property
+    def is_over(self) -> bool:
+        return self.state in (FetchState.DONE, FetchState.FAILED)
+
+    @property
+    def share(self) -> float:
+        """The part of the span that has come, by the time of its messages."""
+        wanted, listed = self.asked.wanted, self.asked.listed
+        begin, end = max(wanted.begin, listed.begin), min(wanted.end, listed.end)
+        if self.spool.is_whole:
+            return 1.0
+        return min(max(0.0, (self.spool.at.time - begin) / (end - begin)), 1.0) if end > begin else 0.0
+
+    def count(self, now: float) -> None:
+        """Remember how far it is at `now` (s)."""
+        self._progress.append(_Progress(now, self.spool.taken, self.share))
+        while self._progress[0].at < now - _RATE_OVER:
+            self._progress.popleft()
+
+    def report(self, now: float) -> FetchReport:
+        first, share, taken = self._progress[0], self.share, self.spool.taken
+        seconds, is_done = now - first.at, self.state is FetchState.DONE
+        runs = self.state is FetchState.FETCHING and seconds > 0
+        gained = share - first.share
+        return FetchReport(
+            self.asked.name, self.asked.link, self.asked.listed.name, self.state, 1.0 if is_done else share, taken,
+            rate=max(0.0, (taken - first.taken) / seconds) if runs else 0.0,
+            rest=min((1.0 - share) / gained * seconds, 1e9) if runs and gained > 0 else None,
+            messages=self.messages, path=str(self.spool.path) if is_done else "", reason=sanitize_text(self.reason),
+        )  # fmt: skip
+
+
+class CourierPart(EnginePart):
+    def __init__(self, bridge: Bridge) -> None:
+        super().__init__()
+        self._bridge = bridge
+        self._context = bridge.context
+        self._kept = bridge.context.shared(KeptRecordings)
+        self._fetches: dict[str, Fetch] = {}
+        self._stopping = False
+        self._asking = asyncio.Lock()
+        self.handlers = {
+            ListRecordings: self._list,
+            FetchRecording: self._fetch,
+            ListFetches: self._reports,
+            CancelFetch: self._cancel,
+        }
+        self.by_key = (((RECORDINGS_KEY.name,), lambda: None),)  # it is read whenever it is needed
+
+    @property
+    def _owner(self) -> str:
+        session = self._context.session
+        return f"{session.role} {session.name}"
+
+    def open(self) -> None:
+        self._loading = self._context.loop.create_task(self._load())
+
+    async def _load(self) -> None:
+        """Take up the fetches of this session that a bridge before has left."""
+        for spool in await asyncio.to_thread(_spools, self._kept.fetched, self._owner):
+            self._fetches.setdefault(spool.asked.name, Fetch(spool, self._context.now()))
+
+    # --- lists
+
+    async def _list(self, command: ListRecordings) -> tuple[RecordingGroup, ...]:
+        if command.link:
+            return (await self._of_link(link_named(command.link, self._bridge.links())),)
+        own = RecordingGroup(recordings=tuple(await self._kept.all(None)))
+        groups = (own, *await asyncio.gather(*map(self._of_link, self._bridge.links())))
+        return tuple(group for group in groups if group.recordings or group.problem)
+
+    async def _of_link(self, link: Link) -> RecordingGroup:
+        try:
+            return RecordingGroup(link.name, await link.extensions.find(LinkCourier).recordings())
+        except LinkError as error:
+            return RecordingGroup(link.name, problem=sanitize_text(str(error)))
+
+    # --- fetches
+
+    async def _fetch(self, command: FetchRecording) -> str:
+        link = link_named(command.link, self._bridge.links())
+        async with self._asking:  # names are given one after the other
+            listed = _chosen(command, await link.extensions.find(LinkCourier).recordings())
+            wanted = _wanted(command, listed)
+            for fetch in self._fetches.values():
+                if not fetch.is_over and fetch.asked.link == link.name and fetch.asked.wanted == wanted:
+                    return fetch.asked.name
+            if sum(not each.is_over for each in self._fetches.values()) >= MOST_FETCHES:
+                raise LinkError(FetchProblem.TOO_MANY(most=MOST_FETCHES))
+            spool = await self._new_spool(link, listed, wanted)
+            name = spool.asked.name
+            self._fetches[name] = Fetch(spool, self._context.now())
+        self._log(CourierCode.ASKED, spool.asked, f"asked for by {spool.asked.who}")
+        over = [name for name, each in self._fetches.items() if each.is_over]
+        for each in over[:-_REMEMBERED]:
+            del self._fetches[each]
+        self._go_on()
+        return name
+
+    async def _new_spool(self, link: Link, listed: ListedRecording, wanted: Wanted) -> FetchSpool:
+        stem = file_stem(f"{link.name}-{listed.name.removesuffix('.mcap').removesuffix('.db3')}")
+        who = sanitize_text(operator(), TEXT_LENGTH)
+        try:
+            return await asyncio.to_thread(
+                _new_spool, self._kept.fetched, stem, partial(_asked, self._owner, link.name, listed, wanted, who)
+            )
+        except OSError as error:
+            folder = self._kept.fetched
+            reason = why_not_written(error, folder)
+            raise LinkError(FetchProblem.NOT_WRITTEN(path=error.filename or folder, reason=reason)) from None
+
+    async def _reports(self, command: ListFetches) -> tuple[FetchReport, ...]:
+        now = self._context.now()
+        return tuple(each.report(now) for each in self._fetches.values() if command.link in ("", each.asked.link))
+
+    async def _cancel(self, command: CancelFetch) -> None:
+        fetch = self._fetches.get(command.name)
+        if fetch is None or fetch.is_over or command.link not in ("", fetch.asked.link):
+            raise LinkError(FetchProblem.NO_FETCH(name=sanitize_text(command.name, TEXT_LENGTH)))
+        fetch.state, fetch.reason = FetchState.FAILED, FetchProblem.CANCELLED(who=operator())
+        if fetch.task is not None:
+            fetch.task.cancel()
+            await asyncio.wait((fetch.task,))
+        await asyncio.to_thread(fetch.spool.remove)
+        self._log(CourierCode.CANCELLED, fetch.asked, fetch.reason)
+        self._go_on()
+
+    def tick(self, snapshot: Snapshot) -> None:
+        self._go_on()
+
+    def _go_on(self) -> None:
+        """Begin what can begin: of each link the oldest fetch."""
+        links = {link.name: link for link in self._bridge.links()}
+        busy = set()
+        now = self._context.now()
+        for fetch in self._fetches.values():
+            if fetch.is_over:
+                continue
+            fetch.count(now)
+            name = fetch.asked.link
+            if fetch.task is not None:
+                busy.add(name)
+            elif (link := links.get(name)) is None:
+                fetch.reason = FetchProblem.GONE(link=name)
+            elif name in busy:
+                fetch.reason = FetchProblem.NEXT(link=name)
+            elif now >= fetch.again_at and not self._stopping:
+                busy.add(name)
+                fetch.task = self._context.loop.create_task(self._attempt(fetch, link))
+
+    async def _attempt(self, fetch: Fetch, link: Link) -> None:
+        """Get as much as comes, and write the file once all is there."""
+        courier, spool = link.extensions.find(LinkCourier), fetch.spool
+        try:
+            if not spool.is_whole:
+                fetch.state, fetch.reason = FetchState.FETCHING, ""
+                await courier.receive(spool)
+            fetch.state, fetch.reason = FetchState.WRITING, ""
+            fetch.messages = await asyncio.to_thread(spool.write, lambda: self._stopping)
+        except LinkError as error:
+            self._wait(fetch, str(error), _AGAIN_AFTER)
+        except InterruptedError:
+            self._wait(fetch, FetchProblem.STOPS(), _AGAIN_AFTER)
+        except OSError as error:
+            reason = str(error) if error.errno == errno.ENOSPC else why_not_written(error, spool.folder)
+            self._wait(fetch, FetchProblem.NOT_WRITTEN(path=spool.path, reason=reason), _DISK_AGAIN_AFTER)
+        except (FetchError, PieceError, McapError) as error:
+            await self._fail(fetch, str(error))
+        else:
+            fetch.state = FetchState.DONE
+            self._log(CourierCode.DONE, fetch.asked, f"{fetch.messages:,} messages written to {spool.path}")
+        finally:
+            fetch.task = None
+            if not any(each.asked.link == link.name and not each.is_over for each in self._fetches.values()):
+                courier.end()
+
+    def _wait(self, fetch: Fetch, reason: str, seconds: float) -> None:
+        fetch.state, fetch.reason = FetchState.WAITING, reason
+        fetch.again_at = self._context.now() + seconds
+
+    async def _fail(self, fetch: Fetch, reason: str) -> None:
+        await asyncio.to_thread(fetch.spool.remove)
+        fetch.state, fetch.reason = FetchState.FAILED, reason
+        self._log(CourierCode.FAILED, fetch.asked, reason, Level.WARNING)
+
+    def _log(self, code: CourierCode, asked: AskedFetch, text: str, level: Level = Level.INFO) -> None:
+        self._bridge.log.add(
+            code, f"recording {asked.listed.name} of {asked.link}: {text}", level=level, link=asked.link
+        )
+
+    async def close(self) -> None:
+        self._stopping = True
+        tasks = [self._loading, *(each.task for each in self._fetches.values() if each.task is not None)]
+        for task in tasks:
+            task.cancel()
+        await asyncio.wait(tasks)
+
+
+def _chosen(command: FetchRecording, listed: tuple[ListedRecording, ...]) -> ListedRecording:
+    name = command.recording.rstrip("/")
+    found = [each for each in listed if each.id == name] or [each for each in listed if each.name == name]
+    if not found:
+        found = [each for each in listed if each.name.startswith(name)] if name else []
+    if len(found) > 1:
+        ids = ", ".join(each.id for each in found)
+        raise LinkError(FetchProblem.SEVERAL(link=command.link, name=name, ids=ids))
+    if not found:
+        raise LinkError(FetchProblem.UNKNOWN(link=command.link, name=sanitize_text(name, TEXT_LENGTH)))
+    return found[0]
+
+
+def _wanted(command: FetchRecording, listed: ListedRecording) -> Wanted:
+    known = [each.name for each in listed.topics]
+    for topic in command.topics:
+        if topic not in known and not listed.more_topics:
+            named = ", ".join(known) or "none"
+            raise LinkError(FetchProblem.NO_TOPIC(name=listed.name, topic=topic, topics=named))
+    if not command.topics and listed.more_topics:
+        raise LinkError(FetchProblem.TOO_MANY_TOPICS(name=listed.name))
+    if not (topics := tuple(sorted({*command.topics})) or tuple(known)):
+        problem = listed.problem and f": {listed.problem}"
+        raise LinkError(FetchProblem.NO_TOPICS(name=listed.name, problem=problem))
+    if command.begin > command.end or command.begin > listed.end or command.end < listed.begin:
+        raise LinkError(FetchProblem.SPAN(name=listed.name, seconds=(listed.end - listed.begin) / 1e9))
+    return Wanted(listed.id, listed.stamp, topics, command.begin, command.end)
+
+
+def _asked(owner: str, link: str, listed: ListedRecording, wanted: Wanted, who: str, name: str) -> AskedFetch:
+    return AskedFetch(name, owner, link, listed, wanted, who)
+
+
+def _new_spool(folder: Path, stem: str, asked: partial[AskedFetch]) -> FetchSpool:
+    """Return a new spool by a name that nothing has yet."""
+    for number in range(1, 1000):
+        name = stem if number == 1 else f"{stem}-{number}"
+        if not (folder / f"{name}.mcap").exists() and not (folder / f".{name}{SPOOL}").exists():
+            return FetchSpool.new(folder, asked(name))
+    raise FileExistsError(errno.EEXIST, "has too many files of this name: move or remove some", str(folder / stem))
+
+
+def _spools(folder: Path, owner: str) -> list[FetchSpool]:
+    found: Iterator[FetchSpool | None] = map(FetchSpool.load, sorted(folder.glob(f".*{SPOOL}")))
+    return [each for each in found if each is not None and each.asked.owner == owner]

@@ -1,0 +1,87 @@
+"""Recordings, and places in them, as the two sides of a link and consoles name them; their types have bounds."""
+
+from __future__ import annotations
+
+from typing import Annotated, TypeAlias
+
+import msgspec
+from msgspec import Meta
+
+from rsb_bridge.feature_api import Count, Name, Reason
+from rsb_bridge.wire.records import Nanoseconds
+
+MOST_TOPICS = 256
+"""Of a recording that is listed or got at once. A round figure: a large robot has some 200."""
+MOST_RECORDINGS = 512
+"""Of a side; the newest ones. A round figure."""
+PAGE = 16
+"""The most recordings of an answer."""
+LATEST = (1 << 63) - 1
+
+RecordingId: TypeAlias = Annotated[str, Meta(pattern=r"\A[0-9a-f]{16}\Z")]
+"""Made by the side that has the recording, of its folder and its name: what a peer names never becomes a path."""
+TopicNames: TypeAlias = Annotated[tuple[Name, ...], Meta(max_length=MOST_TOPICS)]
+
+
+class ListedTopic(msgspec.Struct, frozen=True, omit_defaults=True, array_like=True):
+    name: Name
+    type_name: Name = ""
+    messages: Count = 0
+
+
+class ListedRecording(msgspec.Struct, frozen=True, omit_defaults=True):
+    """A recording of one side.
+
+    Attributes:
+        name: of the file or the folder.
+        stamp: of its files' sizes, times and beginnings: another one is another recording.
+        size: bytes of its files.
+        begin: when its first message was recorded (ns since the epoch on the clock of that side), or 0 if unknown.
+        topics: those that the asker may read; without their number of messages where that is unknown.
+        more_topics: how many more there are.
+        cause: why it was kept, or empty.
+        note: of an operator, or of what kept it.
+        problem: why not all of this is known, or empty.
+    """
+
+    id: RecordingId
+    name: Name
+    stamp: RecordingId
+    size: Count = 0
+    begin: Nanoseconds = 0
+    end: Nanoseconds = 0
+    messages: Count = 0
+    topics: Annotated[tuple[ListedTopic, ...], Meta(max_length=MOST_TOPICS)] = ()
+    more_topics: Count = 0
+    cause: Name = ""
+    note: Name = ""
+    problem: Reason = ""
+
+
+class Cursor(msgspec.Struct, frozen=True, array_like=True, order=True):
+    """A place in the messages of a recording that are asked for, in their order.
+
+    Attributes:
+        time: of the message (ns since the epoch).
+        had: messages of that time before it.
+        offset: bytes of it that come before the place (`rsb_extras.courier.pieces`).
+    """
+
+    time: Nanoseconds = 0
+    had: Count = 0
+    offset: Count = 0
+
+
+class Wanted(msgspec.Struct, frozen=True, omit_defaults=True):
+    """Some messages of a recording.
+
+    Attributes:
+        topics: their names, in any order.
+        begin: ns since the epoch, the first time that counts, and `end` the last one.
+    """
+
+    recording: RecordingId
+    stamp: RecordingId
+    topics: Annotated[tuple[Name, ...], Meta(min_length=1, max_length=MOST_TOPICS)]
+    begin: Nanoseconds = 0
+    end: Nanoseconds = LATEST

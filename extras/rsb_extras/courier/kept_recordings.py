@@ -1,0 +1,245 @@
+"""The recordings that a side has in its folders, for its operators and for peers that may get them."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import os
+import stat
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import yaml
+from msgspec.structs import replace
+
+from rsb_bridge.config.rights import Use
+from rsb_bridge.feature_api import TEXT_LENGTH, Wording, sanitize_text, state_folder
+from rsb_bridge.model.text import is_clean
+from rsb_extras.courier import RECORDINGS_KEY
+from rsb_extras.courier.courier_records import (
+    LATEST,
+    MOST_RECORDINGS,
+    MOST_TOPICS,
+    ListedRecording,
+    ListedTopic,
+)
+from rsb_extras.recording.keep_last import RECORDINGS
+from rsb_extras.recording.reading.open_recording import OpenRecording, RecordingSummary
+from rsb_extras.recording.reading.recording_files import files_of
+from rsb_extras.recording.reading.stored_message import RecordingError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from rsb_bridge.feature_api import Context, Rights
+
+FETCHED = "fetched"
+"""The folder of recordings that came from the other side, in that of this side's own. No peer gets them from here."""
+_MOST_FILES = 4096  # of a recording. A round figure: 4 TB in files of 1 GB
+_MOST_NAMES = 10_000  # of a folder that are looked at. A round figure
+_HEAD = 4096  # bytes of a file that its stamp is made of, beside size and time
+_METADATA, _METADATA_LIMIT = "metadata.yaml", 1 << 20
+_READ_FOR = 5.0
+"""s for which a list reads recordings that it does not know yet. A round figure."""
+_REMEMBERED = 2 * MOST_RECORDINGS
+_SUFFIXES = (".mcap", ".db3")
+
+
+class KeptProblem(Wording):
+    """The reason why a recording is not listed whole, or not given."""
+
+    GONE = "the recording is not there any more: list the recordings again"
+    CHANGED = "the recording has changed since it was listed: get it again once nothing writes to it"
+    READING = "it is being read for the first time: list the recordings again"
+
+
+class _Mark(NamedTuple):
+    """A file as it was."""
+
+    path: str
+    size: int
+    time: int
+
+
+class Kept(NamedTuple):
+    """A recording in a folder.
+
+    Attributes:
+        marks: of its files.
+        stamp: of these and their beginnings.
+    """
+
+    id: str
+    path: Path
+    marks: tuple[_Mark, ...]
+    stamp: str
+
+    @property
+    def size(self) -> int:
+        return sum(mark.size for mark in self.marks)
+
+    @property
+    def changed_at(self) -> int:
+        """When a file of it was changed last (ns since the epoch)."""
+        return max(mark.time for mark in self.marks)
+
+    def has_changed(self) -> bool:
+        try:
+            return self.marks != _marks(self.path)
+        except (OSError, RecordingError):
+            return True
+
+
+class KeptRecordings:
+    """Finds the recordings of this side, and what is in them.
+
+    Attributes:
+        recorded: the folder of the bridge's own recordings.
+        fetched: the folder of those from the other side.
+    """
+
+    def __init__(self, context: Context) -> None:
+        self._context = context
+        self.recorded = state_folder(os.environ) / RECORDINGS
+        self.fetched = self.recorded / FETCHED
+        self._known: dict[str, tuple[str, RecordingSummary | str, tuple[str, str]]] = {}
+        """By ids: stamp; summary, or why there is none; cause and note. The one that was asked for last is last."""
+        self._listing = asyncio.Lock()
+
+    async def all(self, rights: Rights | None) -> list[ListedRecording]:
+        """Return the newest recordings, by their ids. Those that would take too long to read now say so.
+
+        Args:
+            rights: of the peer that asks, or None for this side's operators, who also get those that were fetched.
+        """
+        async with self._listing:
+            deadline = self._context.now() + _READ_FOR
+            return await asyncio.to_thread(self._list, rights, lambda: self._context.now() > deadline)
+
+    def _list(self, rights: Rights | None, stop: Callable[[], bool]) -> list[ListedRecording]:
+        found = sorted(self._found(fetched=rights is None), key=lambda each: each.changed_at)[-MOST_RECORDINGS:]
+        return sorted((self._listed(each, rights, stop) for each in found), key=lambda each: each.id)
+
+    def find(self, key: str, stamp: str) -> Kept:
+        """Return one that a peer may get, on any thread.
+
+        Raises:
+            RecordingError: it is not there, or another one by now.
+        """
+        for kept in self._found(fetched=False):
+            if kept.id == key:
+                if kept.stamp != stamp:
+                    raise RecordingError(KeptProblem.CHANGED())
+                return kept
+        raise RecordingError(KeptProblem.GONE())
+
+    def _found(self, *, fetched: bool) -> Iterator[Kept]:
+        folders = [self.recorded, *map(Path, RECORDINGS_KEY.of(self._context.session).folders)]
+        if fetched:
+            folders.append(self.fetched)
+        for folder in dict.fromkeys(folders):
+            try:
+                names = sorted(each.name for each in islice(Path(folder).iterdir(), _MOST_NAMES))
+            except OSError:
+                continue
+            for name in names:
+                if name.startswith(".") or folder / name == self.fetched:
+                    continue
+                if (kept := _kept(folder, name)) is not None:
+                    yield kept
+
+    def _listed(self, kept: Kept, rights: Rights | None, stop: Callable[[], bool]) -> ListedRecording:
+        summary, (cause, note) = self._summary(kept, stop)
+        listed = ListedRecording(
+            kept.id, sanitize_text(kept.path.name, TEXT_LENGTH), kept.stamp, kept.size, cause=cause, note=note
+        )
+        if isinstance(summary, str):
+            return replace(listed, problem=sanitize_text(summary))
+        topics = [
+            ListedTopic(name, sanitize_text(type_name, TEXT_LENGTH), count)
+            for name, (type_name, count) in sorted(summary.topics.items())
+            if _is_name(name) and (rights is None or may_read(rights, name))
+        ]
+        return replace(
+            listed, begin=min(max(0, summary.begin), LATEST), end=min(max(0, summary.end), LATEST),
+            messages=sum(each.messages for each in topics), topics=tuple(topics[:MOST_TOPICS]),
+            more_topics=max(0, len(topics) - MOST_TOPICS), problem=sanitize_text(summary.cut),
+        )  # fmt: skip
+
+    def _summary(self, kept: Kept, stop: Callable[[], bool]) -> tuple[RecordingSummary | str, tuple[str, str]]:
+        stamp, known, about = self._known.pop(kept.id, ("", "", ("", "")))
+        if stamp == kept.stamp:
+            self._known[kept.id] = stamp, known, about
+            return known, about
+        if stop():
+            return KeptProblem.READING(), ("", "")
+        summary: RecordingSummary | str
+        try:
+            summary = OpenRecording(kept.path).summary
+        except (RecordingError, OSError) as error:
+            summary = str(error).replace(str(kept.path), kept.path.name)  # paths are no business of a peer's
+        about = _cause_and_note(kept.path)
+        self._known[kept.id] = kept.stamp, summary, about
+        while len(self._known) > _REMEMBERED:
+            del self._known[next(iter(self._known))]
+        return summary, about
+
+
+def may_read(rights: Rights, topic: str) -> bool:
+    """Whether a peer may read a topic: what it may not see while it is published, it does not get later either."""
+    return rights.refusal(Use(topic, "read")) is None
+
+
+def _is_name(name: str) -> bool:
+    return 0 < len(name) <= TEXT_LENGTH and is_clean(name)
+
+
+def _kept(folder: Path, name: str) -> Kept | None:
+    path = folder / name
+    try:
+        status = path.lstat()
+        is_one = stat.S_ISDIR(status.st_mode) or (stat.S_ISREG(status.st_mode) and name.endswith(_SUFFIXES))
+        marks = _marks(path) if is_one else ()
+        stamp = hashlib.sha256(repr(marks).encode())
+        for mark in marks:
+            stamp.update(_beginning(mark.path))
+    except (OSError, RecordingError, ValueError):
+        return None
+    key = hashlib.sha256(os.fsencode(path)).hexdigest()[:16]
+    return Kept(key, path, marks, stamp.hexdigest()[:16]) if marks else None
+
+
+def _marks(path: Path) -> tuple[_Mark, ...]:
+    """Return the marks of a recording's files, or nothing if one is no plain file: nothing waits for a FIFO here."""
+    files = files_of(path)
+    found = [(str(file), file.lstat()) for file in files[:_MOST_FILES]]
+    if len(files) > _MOST_FILES or not all(stat.S_ISREG(status.st_mode) for _, status in found):
+        return ()
+    return tuple(_Mark(name, status.st_size, status.st_mtime_ns) for name, status in found)
+
+
+def _beginning(path: str) -> bytes:
+    return _read(Path(path), _HEAD)
+
+
+def _cause_and_note(path: Path) -> tuple[str, str]:
+    """Return what the metadata of a folder says of why it was kept, or empty texts."""
+    try:
+        text = _read(path / _METADATA, _METADATA_LIMIT)
+        data = yaml.load(text, Loader=yaml.CSafeLoader)["rosbag2_bagfile_information"]["custom_data"]
+        return sanitize_text(str(data.get("cause", "")), TEXT_LENGTH), sanitize_text(
+            str(data.get("note", "")), TEXT_LENGTH
+        )
+    except Exception:  # noqa: BLE001 -- it is a comfort, and may say anything
+        return "", ""
+
+
+def _read(path: Path, size: int) -> bytes:
+    """Read the beginning of a plain file; raises OSError."""
+    with open(path, "rb", opener=_opener) as file:
+        return file.read(size)
+
+
+def _opener(path: str, flags: int) -> int:
+    return os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK)

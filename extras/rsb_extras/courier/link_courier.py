@@ -1,0 +1,438 @@
+"""Recordings over one link: those of this side for its peer, and the peer's for this side's operators.
+
+Pieces of a recording have an internal route of the lowest priority, on which the side that has the recording sends as
+many as the other one has room for. That one keeps the place up to which it has all, and begins there anew after
+whatever has happened: the sending side remembers nothing that counts.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from enum import StrEnum
+from functools import partial
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from rsb_bridge.feature_api import (
+    AskingExtension,
+    BytesDrain,
+    BytesSource,
+    DeniedUse,
+    InternalRoutes,
+    Level,
+    LinkError,
+    Questions,
+    TokenBucket,
+    Wording,
+    sanitize_text,
+)
+from rsb_extras.courier import MAY_FETCH
+from rsb_extras.courier.courier_messages import (
+    PIECES,
+    WINDOW,
+    AskRecordings,
+    BeginPieces,
+    PiecesEnded,
+    PiecesTaken,
+    RecordingsAnswer,
+)
+from rsb_extras.courier.courier_records import MOST_RECORDINGS, PAGE
+from rsb_extras.courier.kept_recordings import KeptProblem, KeptRecordings, may_read
+from rsb_extras.courier.pieces import Cutter, PieceError, PieceProblem, decode_piece, encode_piece
+from rsb_extras.courier.slices import SLICE_HEAD, Pace, SliceJoiner
+from rsb_extras.recording.reading.open_recording import OpenRecording
+from rsb_extras.recording.reading.stored_message import RecordingError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rsb_bridge.feature_api import Link, Rights, Route
+    from rsb_bridge.model.session import Direction
+    from rsb_extras.courier.courier_records import ListedRecording
+    from rsb_extras.courier.fetch_spool import FetchSpool
+    from rsb_extras.courier.kept_recordings import Kept
+
+_LISTED_WITHIN = 30.0
+"""s for a page, for which the other side may read recordings for 5 s. A round figure."""
+_LISTS_A_SECOND = 1.0
+_PAGE_BYTES = 128 << 10  # of a page, unless one recording has more: a tenth of a control message
+_DEPTH = 16  # slices that may wait; 2 are under way
+_BEGINS, _BEGINS_WITHIN = 20, 60.0
+"""Orders for pieces of a peer that are followed in so many s: each opens files and looks for a place."""
+_SILENT, _LOOK_EVERY = 120.0, 5.0
+"""s without a slice, while the link is up, after which this side begins anew. Round figures: the least slice takes
+0.4 s at 5 kB/s, and longer beside topics."""
+_ENDED = "the recording is here"
+
+
+class CourierCode(StrEnum):
+    """Codes of the events that the courier logs; they stay as they are, for programs that read the log."""
+
+    BEGAN = "courier.began"
+    """The other side gets a recording of this side."""
+    GIVEN = "courier.given"
+    ASKED = "courier.asked"
+    DONE = "courier.done"
+    FAILED = "courier.failed"
+    CANCELLED = "courier.cancelled"
+
+
+class CourierProblem(Wording):
+    """The reason why a recording does not come, or not now."""
+
+    NOT_LINKED = "{link} is not linked: {reason}"
+    NOT_THERE = "the installation of {link} has no courier: install all of rsb-console there"
+    NOT_ALLOWED = "{owner} does not let {peer} get recordings: add may: {{recordings: true}} {where}"
+    NO_TOPIC = "{owner} does not let {peer} read {topic}"
+    NO_SENDING = "{owner} takes no recording from {peer}: the side that gets it proposes the route"
+    ONE_ROUTE = "recordings have a route already"
+    NO_ROUTE = "this route carries no recordings"
+    TOO_OFTEN = "a recording was asked for {most} times within {seconds:g} s: wait"
+    NOT_OPENED = "the route for pieces was not opened: {reason}"
+    LOST = "the link was lost"
+    SILENT = "{link} sent nothing for {seconds:.0f} s"
+    GAP = "a piece did not come"
+    LIES = "{link} sent what it was not asked for: {error}"
+
+
+class FetchError(Exception):
+    """A fetch ends; the text says why."""
+
+
+class _Sending:
+    """A run of pieces for the peer.
+
+    Attributes:
+        given: pieces that were made.
+        taken: pieces that the peer has kept.
+    """
+
+    def __init__(self, order: BeginPieces) -> None:
+        self.order = order
+        self.given = self.taken = 0
+        self.pace = Pace()
+        self.news = asyncio.Event()
+        self.task: asyncio.Task[None] | None = None
+
+    async def until(self, condition: Callable[[], bool]) -> None:
+        """Wait for news by which a condition holds."""
+        while not condition():
+            self.news.clear()
+            await self.news.wait()
+
+
+class _Receiving:
+    """A run of pieces for this side.
+
+    Attributes:
+        arrivals: what has come and is not kept yet, or why no more comes.
+        slices: those that have come.
+        taken: pieces that are kept.
+    """
+
+    def __init__(self, run: int) -> None:
+        self.run = run
+        self.arrivals: asyncio.Queue[bytes | Exception] = asyncio.Queue()
+        self.slices = self.taken = 0
+        self.joiner = SliceJoiner()
+
+    def end(self, error: Exception) -> None:
+        self.arrivals.put_nowait(error)
+
+
+class LinkCourier(AskingExtension):
+    """One link's recordings, in both directions."""
+
+    purpose = PIECES
+
+    def __init__(self, link: Link) -> None:
+        self.messages = {
+            AskRecordings: self._asked,
+            RecordingsAnswer: self._answered,
+            BeginPieces: self._begin,
+            PiecesTaken: self._taken,
+            PiecesEnded: self._ended,
+        }
+        self._link = link
+        self._context = link.context
+        self._kept = link.context.shared(KeptRecordings)
+        self._internal = InternalRoutes(link, link.table, PIECES, BytesSource, BytesDrain)
+        self._questions: Questions[RecordingsAnswer] = Questions(link, _LISTED_WITHIN, a_second=_LISTS_A_SECOND)
+        self._allowance = TokenBucket(_BEGINS, _BEGINS / _BEGINS_WITHIN, link.context.now())
+        self._peer_has = False
+        self._request = self._run = self._number = 0
+        self._sending: _Sending | None = None
+        self._receiving: _Receiving | None = None
+        self._route: Route | None = None
+        self._drain: BytesDrain | None = None
+
+    def connected(self) -> None:
+        self._peer_has = True
+
+    def disconnected(self) -> None:
+        super().disconnected()
+        self._peer_has = False
+        self._end_sending()
+        if self._receiving is not None:
+            self._receiving.end(LinkError(CourierProblem.LOST()))
+
+    # --- for the peer
+
+    def denial(self, rights: Rights, *, sends: bool) -> DeniedUse | None:
+        if sends:
+            text = CourierProblem.NO_SENDING(owner=rights.owner, peer=rights.peer)
+            return DeniedUse(text, "propose it from the side that receives")
+        return None if MAY_FETCH.of(rights) else DeniedUse(*self._no_right(rights).split(": ", 1))
+
+    def _no_right(self, rights: Rights) -> str:
+        where = f"to {rights.place.removeprefix('of ')}" if rights.place.startswith("of ") else rights.place
+        return CourierProblem.NOT_ALLOWED(owner=rights.owner, peer=rights.peer, where=where)
+
+    def refusal(self, name: str) -> str:
+        own = [route for route in self._internal.proposed(here=False) if route.local_topic != name]
+        return CourierProblem.ONE_ROUTE() if own else ""
+
+    def _asked(self, ask: AskRecordings) -> None:
+        self._questions.answer(ask.request, partial(self._page, ask))
+
+    async def _page(self, ask: AskRecordings) -> RecordingsAnswer:
+        rights = self._link.end.rights
+        if not MAY_FETCH.of(rights):
+            return RecordingsAnswer(ask.request, problem=sanitize_text(self._no_right(rights)))
+        left = [each for each in await self._kept.all(rights) if each.id > (ask.after or "")]
+        page: list[ListedRecording] = []
+        size = 0
+        for each in left[:PAGE]:
+            size += len(msgspec.msgpack.encode(each))
+            if page and size > _PAGE_BYTES:
+                break
+            page.append(each)
+        return RecordingsAnswer(ask.request, tuple(page), more=len(page) < len(left))
+
+    def _begin(self, order: BeginPieces) -> None:
+        self._end_sending()
+        if not self._allowance.take(1, self._context.now()):
+            self._end_run(order.run, CourierProblem.TOO_OFTEN(most=_BEGINS, seconds=_BEGINS_WITHIN), is_final=False)
+            return
+        sending = self._sending = _Sending(order)
+        sending.task = self._link.spawn(self._send(sending))
+
+    def _taken(self, taken: PiecesTaken) -> None:
+        if self._sending is not None and self._sending.order.run == taken.run:
+            self._sending.taken = max(self._sending.taken, taken.taken)
+            self._sending.pace.heard(taken.slices, self._context.now())
+            self._sending.news.set()
+
+    def _end_sending(self) -> None:
+        if self._sending is not None and self._sending.task is not None:
+            self._sending.task.cancel()
+        self._sending = None
+
+    def _end_run(self, run: int, problem: str, *, is_final: bool) -> None:
+        self._link.send(PiecesEnded(run, sanitize_text(problem), is_final))
+
+    async def _send(self, sending: _Sending) -> None:
+        order = sending.order
+        try:
+            source = await self._source(order.route)
+            self._check(order)
+            wanted = order.wanted
+            kept = await asyncio.to_thread(self._kept.find, wanted.recording, wanted.stamp)
+            cutter = await asyncio.to_thread(_cutter, order, kept)
+            self._log(kept, begins=True)
+            await self._send_pieces(sending, source, cutter, kept)
+        except LinkError as error:
+            self._end_run(order.run, str(error), is_final=False)
+        except (FetchError, RecordingError) as error:
+            self._end_run(order.run, str(error), is_final=True)
+
+    async def _source(self, route_id: int) -> BytesSource:
+        route = self._link.ids.open_route(route_id)
+        if route is None or route.proposed_here or not route.outgoing or route.purpose is not PIECES:
+            raise LinkError(CourierProblem.NO_ROUTE())
+        await self._internal.opened(route, route_id)  # the peer may have found it open before this side does
+        if (source := self._internal.source(route)) is None:
+            raise LinkError(CourierProblem.NO_ROUTE())
+        return source
+
+    def _check(self, order: BeginPieces) -> None:
+        """Raise `FetchError` if the peer may not have what it asks for."""
+        rights = self._link.end.rights
+        if not MAY_FETCH.of(rights):
+            raise FetchError(self._no_right(rights))
+        for topic in order.wanted.topics:
+            if not may_read(rights, topic):
+                raise FetchError(CourierProblem.NO_TOPIC(owner=rights.owner, peer=rights.peer, topic=topic))
+
+    async def _send_pieces(self, sending: _Sending, source: BytesSource, cutter: Cutter, kept: Kept) -> None:
+        is_last = False
+        while not is_last:
+            await sending.until(lambda: sending.given < sending.taken + WINDOW)
+            piece = await asyncio.to_thread(cutter.next)
+            self._check(sending.order)  # a reload may have taken the right away
+            if await asyncio.to_thread(kept.has_changed):
+                raise FetchError(KeptProblem.CHANGED())
+            sending.given, is_last = piece.number, piece.is_last
+            await self._send_slices(sending, source, encode_piece(piece))
+        self._log(kept, begins=False)
+
+    async def _send_slices(self, sending: _Sending, source: BytesSource, piece: bytes) -> None:
+        pace, at = sending.pace, 0
+        while at < len(piece):
+            await sending.until(lambda: pace.is_open)
+            part = piece[at : at + pace.size]
+            head = SLICE_HEAD.pack(sending.order.run & 0xFFFFFFFF, sending.given, at, len(piece))
+            pace.sent(self._context.now())
+            await asyncio.to_thread(source.send, head + part, self._context.wall_ns())
+            if source.closed:
+                raise LinkError(CourierProblem.NO_ROUTE())
+            at += len(part)
+
+    def _log(self, kept: Kept, *, begins: bool) -> None:
+        text = f"{kept.path}: {self._link.peer_name} {'gets it' if begins else 'has got it'}"
+        code = CourierCode.BEGAN if begins else CourierCode.GIVEN
+        self._context.log(Level.INFO, code, text, link=self._link.name, from_peer=True)
+
+    # --- for this side's operators
+
+    async def recordings(self) -> tuple[ListedRecording, ...]:
+        """Return the peer's recordings.
+
+        Raises:
+            LinkError: the link is down, or the peer has no such feature, gives none, or does not answer.
+        """
+        found: dict[str, ListedRecording] = {}
+        after: str | None = None
+        while True:
+            self._check_peer()
+            self._request += 1
+            answer = await self._questions.ask(self._request, AskRecordings(self._request, after))
+            if answer.problem:
+                raise LinkError(answer.problem)
+            found.update((each.id, each) for each in answer.recordings)
+            last = max((each.id for each in answer.recordings), default="")
+            if not answer.more or len(found) >= MOST_RECORDINGS:
+                return tuple(found.values())[:MOST_RECORDINGS]
+            if last <= (after or ""):
+                raise LinkError(CourierProblem.LIES(link=self._link.name, error="a page without end"))
+            after = last
+
+    def _answered(self, answer: RecordingsAnswer) -> None:
+        self._questions.answered(answer.request, answer)
+
+    def _check_peer(self) -> None:
+        if not self._link.linked:
+            raise LinkError(CourierProblem.NOT_LINKED(link=self._link.name, reason=self._link.down_reason))
+        if not self._peer_has:
+            raise LinkError(CourierProblem.NOT_THERE(link=self._link.name))
+
+    async def receive(self, spool: FetchSpool) -> None:
+        """Get what is missing of a recording; one at a time.
+
+        Raises:
+            LinkError: the link was lost, or the peer cannot give it now. What has come is kept.
+            FetchError: the peer does not give it, or lies.
+            OSError: it cannot be written.
+        """
+        self._check_peer()
+        route = await self._opened()
+        self._run += 1
+        receiving = self._receiving = _Receiving(self._run)
+        try:
+            order = BeginPieces(self._run, route.id, spool.asked.wanted, spool.at, tuple(sorted(spool.known)))
+            self._link.send(order)
+            while not spool.is_whole:
+                data = await self._arrival(receiving, route, order)
+                piece = decode_piece(data)
+                await asyncio.to_thread(spool.add, piece, data)
+                receiving.taken += 1
+                self._tell(receiving)
+        except PieceError as error:
+            raise FetchError(CourierProblem.LIES(link=self._link.name, error=error)) from None
+        finally:
+            self._receiving = None
+
+    def end(self) -> None:
+        """Close the route for pieces: nothing more is to come."""
+        route, self._route, self._drain = self._route, None, None
+        if route is not None and self._link.routes.get(route.key) is route:
+            self._link.table.remove(route, _ENDED)
+
+    async def _arrival(self, receiving: _Receiving, route: Route, order: BeginPieces) -> bytes:
+        silent, slices = 0.0, receiving.slices
+        while silent < _SILENT:
+            try:
+                async with asyncio.timeout(_LOOK_EVERY):
+                    arrived = await receiving.arrivals.get()
+            except TimeoutError:
+                if route.id != order.route:
+                    raise LinkError(CourierProblem.LOST()) from None
+                silent += _LOOK_EVERY if self._link.linked else 0.0
+                if receiving.slices != slices:
+                    silent, slices = 0.0, receiving.slices
+                continue
+            if isinstance(arrived, Exception):
+                raise arrived
+            return arrived
+        raise LinkError(CourierProblem.SILENT(link=self._link.name, seconds=_SILENT))
+
+    async def _opened(self) -> Route:
+        """Return the route for pieces, once they can cross on it."""
+        if self._route is None or self._link.routes.get(self._route.key) is not self._route:
+            self._number += 1
+            direction: Direction = "receive" if self._link.is_client else "transmit"
+            self._route = self._internal.open(
+                PIECES.route_name(str(self._number)), direction, depth=_DEPTH, compression="none", priority="low"
+            )
+        route = self._route
+        drain = self._internal.drain(route) if await self._internal.opened(route) else None
+        if drain is None:
+            trouble = route.trouble()
+            reason = str(route.life.refusal) or ("" if trouble is None else trouble.text)
+            self.end()
+            raise LinkError(CourierProblem.NOT_OPENED(reason=reason))
+        if drain is not self._drain:
+            self._drain = drain
+            drain.taken = lambda data: self._context.call(partial(self._arrived, data))
+        return route
+
+    def _arrived(self, data: bytes) -> None:
+        receiving, head = self._receiving, data[: SLICE_HEAD.size]
+        if receiving is None or len(head) < SLICE_HEAD.size:
+            return
+        run, number, offset, size = SLICE_HEAD.unpack(head)
+        if run != receiving.run & 0xFFFFFFFF:  # of an order before
+            return
+        receiving.slices += 1
+        try:
+            piece = receiving.joiner.add(number, offset, size, data[SLICE_HEAD.size :])
+            if piece is not None and receiving.arrivals.qsize() >= WINDOW:
+                raise PieceError(PieceProblem.TOO_MANY())
+        except LookupError:
+            self._stop(receiving, LinkError(CourierProblem.GAP()))
+        except PieceError as error:
+            self._stop(receiving, FetchError(CourierProblem.LIES(link=self._link.name, error=error)))
+        else:
+            if piece is not None:
+                receiving.arrivals.put_nowait(piece)
+            self._tell(receiving)
+
+    def _stop(self, receiving: _Receiving, error: Exception) -> None:
+        receiving.end(error)
+        self._receiving = None
+
+    def _tell(self, receiving: _Receiving) -> None:
+        self._link.send(PiecesTaken(receiving.run, receiving.slices, receiving.taken))
+
+    def _ended(self, ended: PiecesEnded) -> None:
+        if self._receiving is not None and self._receiving.run == ended.run:
+            self._receiving.end((FetchError if ended.is_final else LinkError)(ended.problem))
+
+
+def _cutter(order: BeginPieces, kept: Kept) -> Cutter:
+    wanted = order.wanted
+    messages = OpenRecording(kept.path).messages(
+        topics=frozenset(wanted.topics), begin=max(wanted.begin, order.at.time), end=wanted.end + 1
+    )
+    return Cutter(order.run, messages, order.at, order.known)

@@ -1,0 +1,93 @@
+"""Slices of pieces, so small and so few under way that topics beside them hardly wait.
+
+A route of low priority alone does not do that: while it always has something to send, the link is full, and what is in
+transit delays all. So a fetch sends as LEDBAT does (RFC 6817): more while slices arrive as fast as ever, less as soon
+as they queue. Measured by `rsb_extras.courier.tests.fetch_cost`: docs/courier-figures.md.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections import deque
+
+from rsb_extras.courier.pieces import LIMIT, PIECE, PieceError, PieceProblem
+
+SLICE_HEAD = struct.Struct("<IIII")
+"""Of a slice: run, number of the piece, bytes of the piece before it, bytes of the piece."""
+_UNDER_WAY = 2
+"""Slices: one is on the line while the answer to the other one comes back."""
+_LEAST, _FIRST = 2 << 10, 4 << 10  # bytes
+_MORE_BELOW, _LESS_ABOVE = 0.05, 0.1
+"""s that a slice takes more than the fastest lately: from RFC 6817, which has 0.1 s as the most."""
+_FILTER = 4
+"""Slices of which the fastest counts: a processor that is busy for a moment is no queue."""
+_GROWS, _SHRINKS = 1.25, 0.7  # round figures
+_BASE_FOR = 60.0
+"""s for which the fastest slice counts at least: a way may get longer."""
+
+
+class Pace:
+    """The size of slices that does not delay others."""
+
+    def __init__(self) -> None:
+        self.size = _FIRST
+        self._sent: deque[float] = deque()
+        self._last: deque[float] = deque(maxlen=_FILTER)
+        self._heard = 0
+        self._fastest = self._fastest_before = float("inf")
+        self._since: float | None = None
+
+    @property
+    def is_open(self) -> bool:
+        """Whether a further slice may be sent."""
+        return len(self._sent) < _UNDER_WAY
+
+    def sent(self, now: float) -> None:
+        self._sent.append(now)
+
+    def heard(self, count: int, now: float) -> None:
+        """Take in that so many slices have arrived in all, at `now` (s)."""
+        while self._sent and self._heard < count:
+            self._heard += 1
+            self._judge(now - self._sent.popleft(), now)
+
+    def _judge(self, seconds: float, now: float) -> None:
+        if self._since is None or now - self._since > _BASE_FOR:
+            self._since, self._fastest_before, self._fastest = now, self._fastest, float("inf")
+        self._fastest = min(self._fastest, seconds)
+        self._last.append(seconds)
+        over = min(self._last) - min(self._fastest, self._fastest_before)
+        if over < _MORE_BELOW:
+            self.size = min(int(self.size * _GROWS), PIECE)
+        elif over > _LESS_ABOVE:
+            self.size = max(int(self.size * _SHRINKS), _LEAST)
+
+
+class SliceJoiner:
+    """Makes pieces of slices.
+
+    Attributes:
+        number: of the piece that comes next, from 1.
+    """
+
+    def __init__(self) -> None:
+        self.number = 1
+        self._piece = bytearray()
+
+    def add(self, number: int, offset: int, size: int, part: bytes) -> bytes | None:
+        """Return the piece that is whole with a slice, or None.
+
+        Raises:
+            LookupError: a slice is missing before it.
+            PieceError: it is none.
+        """
+        if (number, offset) != (self.number, len(self._piece)):
+            raise LookupError
+        if not part or size > LIMIT or offset + len(part) > size:
+            raise PieceError(PieceProblem.INVALID())
+        self._piece += part
+        if len(self._piece) < size:
+            return None
+        piece, self._piece = bytes(self._piece), bytearray()
+        self.number += 1
+        return piece

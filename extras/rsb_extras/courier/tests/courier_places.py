@@ -1,0 +1,9 @@
+"""Names of the courier that tests read or replace (`tests.support.places`)."""
+
+from __future__ import annotations
+
+from tests.support.places import Place
+
+ENCODED_PIECE = Place("rsb_extras.courier.link_courier", "encode_piece")
+LIST_PAGE = Place("rsb_extras.courier.link_courier", "LinkCourier._page")
+LEFT_FREE = Place("rsb_extras.courier.fetch_spool", "_LEFT_FREE")

@@ -1,0 +1,43 @@
+"""The recordings of the robot that `tests.console.scripted` plays."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rsb_extras.courier.courier_records import ListedRecording, ListedTopic
+from rsb_extras.courier.courier_requests import (
+    CancelFetch,
+    FetchRecording,
+    FetchReport,
+    FetchState,
+    ListFetches,
+    ListRecordings,
+    RecordingGroup,
+)
+
+BEGAN = 1_785_406_500_000_000_000
+DRIVE = ListedRecording(
+    "0123456789abcdef", "fault-101500", "fedcba9876543210", 184_000_000, BEGAN,
+    BEGAN + 90_000_000_000, 18_000,
+    (ListedTopic("/scan", "sensor_msgs/msg/LaserScan", 900), ListedTopic("/tf", "tf2_msgs/msg/TFMessage", 17_100)),
+    cause="fault", note="/scan stopped",
+)  # fmt: skip
+GROUPS = (
+    RecordingGroup("", (ListedRecording("0" * 16, "noon.mcap", "1" * 16, 8_400_000, BEGAN, BEGAN),)),
+    RecordingGroup("robot1", (DRIVE,)),
+)
+FETCH = FetchReport(
+    "robot1-drive", "robot1", DRIVE.name, FetchState.FETCHING, 0.25, 42_000_000, 1_500_000.0, 84.0
+)  # fmt: skip
+
+
+def _listed(command: ListRecordings) -> Any:
+    return tuple(group for group in GROUPS if command.link in ("", group.link))
+
+
+ANSWERS: dict[Any, Any] = {
+    ListRecordings: _listed,
+    FetchRecording: lambda _: FETCH.name,
+    ListFetches: lambda _: (FETCH,),
+    CancelFetch: lambda _: None,
+}

@@ -1,0 +1,124 @@
+"""The command ``record``: lists, fetches and their progress, and what it says of wrong usage."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from msgspec.structs import replace
+from tests.console.scripted import ScriptedEngine, answers
+
+from rsb_console.command.shell import FAILURE, OK, USAGE
+from rsb_extras.courier.courier_records import LATEST
+from rsb_extras.courier.courier_requests import CancelFetch, FetchRecording, FetchState, ListFetches
+from rsb_extras.courier.tests.scripted_answers import BEGAN, DRIVE, FETCH
+
+if TYPE_CHECKING:
+    from tests.support.commands import Ran
+    from tests.support.control import Machine
+
+Run = Callable[..., "Ran"]
+SECOND = 1_000_000_000
+
+
+@pytest.fixture
+def asked(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """What a bridge was asked for, whose fetch has gone on at each look until it is done."""
+    known: Any = answers()
+    commands: list[Any] = []
+    states = [replace(FETCH, state=FetchState.WAITING, reason="the link was lost"), FETCH]
+    done = replace(FETCH, state=FetchState.DONE, share=1.0, messages=18_000, path="/var/lib/drive.mcap")
+
+    def looked(_: ListFetches) -> Any:
+        return (states.pop(0) if states else done,)
+
+    def noted(command: Any) -> Any:
+        commands.append(command)
+        return FETCH.name if isinstance(command, FetchRecording) else None
+
+    for kind, reply in ((ListFetches, looked), (FetchRecording, noted), (CancelFetch, noted)):
+        monkeypatch.setitem(known, kind, reply)
+    machine.have(ScriptedEngine())
+    return commands
+
+
+def test_recordings_of_both_sides_are_listed(machine: Machine, ran: Run) -> None:
+    machine.serve()
+    listed = ran("record", "list")
+    lines = listed.out.splitlines()
+    assert listed.code == OK
+    assert lines[0].split() == ["RECORDING", "SIDE", "BEGIN", "SPAN", "SIZE", "CAUSE", "TOPICS"]
+    assert lines[1].split()[:3] == ["noon.mcap", "this", "side"]
+    assert lines[2].split()[0] == DRIVE.name
+    assert lines[2].endswith("90 s  184 MB  fault  2")
+    assert lines[3] == "robot1-drive of the server: 25%, 42 MB, 1.5 MB/s, 84 s left, fetching"
+    found = ran("record", "list", "robot1", "--json").json
+    assert [each["name"] for each in found["recordings"]] == [DRIVE.name]
+    assert found["recordings"][0]["topics"][0] == {
+        "name": "/scan", "type": "sensor_msgs/msg/LaserScan", "messages": 900,
+    }  # fmt: skip
+    assert found["fetches"][0]["rate"] == 1_500_000
+
+
+def test_a_fetch_is_waited_for_without_a_bar_where_no_terminal_is(asked: list[Any], ran: Run) -> None:
+    done = ran("record", "get", "robot1", DRIVE.name, "/scan")
+    assert (done.code, done.err) == (OK, "")
+    assert done.out == "18,000 messages, 42 MB crossed: /var/lib/drive.mcap\n"
+    assert asked == [FetchRecording("robot1", DRIVE.name, ("/scan",))]
+
+
+def test_a_terminal_has_a_bar(asked: list[Any], ran: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True, raising=False)
+    done = ran("record", "get", "robot1", DRIVE.name)
+    assert "[.....#" not in done.out
+    assert "[#####...............] 25%, 42 MB, 1.5 MB/s, 84 s left, fetching" in done.out
+    assert "the link was lost" in done.out
+
+
+@pytest.mark.parametrize(
+    ("options", "begin", "end"),
+    [
+        (("--from", "-30"), BEGAN + 60 * SECOND, LATEST),
+        (("--from", "10", "--to", "20.5"), BEGAN + 10 * SECOND, BEGAN + 20_500_000_000),
+        (("--to", "2026-07-30T10:15:30+00:00"), 0, BEGAN + 30 * SECOND),
+    ],
+)
+def test_times_are_of_the_recording(options: tuple[str, ...], begin: int, end: int, asked: list[Any], ran: Run) -> None:
+    done = ran("record", "get", "robot1", DRIVE.name, "--no-wait", "--json", *options)
+    assert done.json == {"ok": True, "fetch": "robot1-drive"}
+    assert asked == [FetchRecording("robot1", DRIVE.name, (), begin, end)]
+
+
+def test_a_failed_fetch_is_a_failure(machine: Machine, ran: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    failed = replace(FETCH, state=FetchState.FAILED, reason="the recording has changed")
+    known: Any = answers()
+    monkeypatch.setitem(known, ListFetches, lambda _: (failed,))
+    machine.have(ScriptedEngine())
+    found = ran("record", "get", "robot1", DRIVE.name, "--json")
+    assert (found.code, found.json["ok"], found.json["error"]) == (FAILURE, False, "the recording has changed")
+
+
+def test_a_fetch_is_given_up(asked: list[Any], ran: Run) -> None:
+    assert ran("record", "cancel", "robot1-drive").out == "robot1-drive is given up\n"
+    assert asked == [CancelFetch("robot1-drive")]
+
+
+@pytest.mark.parametrize(
+    ("line", "text"),
+    [
+        ("record --from 3", "record takes no --from"),
+        ("record list a b", "give one link at most"),
+        ("record get robot1", "give a link and a recording"),
+        ("record get robot1 x --seconds 3", "record get takes no --seconds"),
+        ("record list --to 3", "record list takes no --to"),
+        ("record cancel", "give the name of one fetch"),
+        ("record get robot1 x --from noon", "--from noon: give seconds"),
+        ("record get robot1 x --from 3", "x does not say when it begins"),
+        (f"record get robot1 {DRIVE.name} --from 20 --to 10", "--to is before --from"),
+    ],
+)
+def test_wrong_usage_names_the_remedy(line: str, text: str, machine: Machine, ran: Run) -> None:
+    machine.serve()
+    refused = ran(*line.split())
+    assert (refused.code, text in refused.err) == (USAGE, True), refused

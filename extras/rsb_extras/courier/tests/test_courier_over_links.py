@@ -1,0 +1,155 @@
+"""Two bridges over a socket: a robot with recordings, and the other side that lists them and gets them."""
+
+from __future__ import annotations
+
+import os
+from functools import partial
+from typing import TYPE_CHECKING
+
+import pytest
+from tests.support.bridge import happened
+from tests.support.relay import Relay
+from tests.support.waiting import eventually
+
+from rsb_bridge.api import EngineError
+from rsb_extras.courier.courier_requests import (
+    CancelFetch,
+    FetchState,
+    ListRecordings,
+)
+from rsb_extras.courier.link_courier import CourierCode
+from rsb_extras.courier.tests.bags import BEGAN, SECOND, in_bag, messages, write_bag
+from rsb_extras.courier.tests.courier_bed import done, fetch, fetches, listed, report, robot_features, two_sides
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from tests.support.bridge import Bridge
+
+
+def test_recordings_are_listed_with_what_is_in_them(bridge: Bridge, bags: Path) -> None:
+    written = write_bag(bags / "drive.mcap", messages(2))
+    (bags / "notes.txt").write_text("no recording")
+    (bags / "elsewhere.mcap").symlink_to("/etc/passwd")
+    os.mkfifo(bags / "pipe.mcap")
+    pc, _ = two_sides(bridge, bags)
+    (drive,) = listed(pc).values()
+    assert (drive.name, drive.size) == ("drive.mcap", (bags / "drive.mcap").stat().st_size)
+    assert (drive.begin, drive.end, drive.messages) == (BEGAN, written[-1].time, len(written))
+    assert [(each.name, each.type_name, each.messages) for each in drive.topics] == [
+        ("/scan", "std_msgs/msg/String", 40),
+        ("/tf", "std_msgs/msg/String", 40),
+    ]
+
+
+def test_a_recording_comes_message_for_message(bridge: Bridge, bags: Path, fetched: Path) -> None:
+    written = write_bag(bags / "drive.mcap", messages(3))
+    pc, robot = two_sides(bridge, bags)
+    found = done(pc, fetch(pc, "drive.mcap"))
+    assert in_bag(fetched / "robot1-drive.mcap") == written
+    assert found.path == str(fetched / "robot1-drive.mcap")
+    assert found.messages == len(written)
+    assert [each.name for each in fetched.iterdir()] == ["robot1-drive.mcap"], "nothing is left of its pieces"
+    assert happened(robot, CourierCode.GIVEN, "drive.mcap")
+    assert happened(pc, CourierCode.DONE, f"{len(written)} messages written")
+
+
+def test_topics_and_times_are_chosen(bridge: Bridge, bags: Path, fetched: Path) -> None:
+    written = write_bag(bags / "drive.mcap", messages(4))
+    pc, _ = two_sides(bridge, bags)
+    begin, end = BEGAN + SECOND, BEGAN + 2 * SECOND
+    done(pc, fetch(pc, "drive.mcap", "/tf", begin=begin, end=end))
+    expected = [each for each in written if each.channel.topic == "/tf" and begin <= each.time <= end]
+    assert in_bag(fetched / "robot1-drive.mcap") == expected
+
+
+def test_without_the_right_nothing_is_listed_or_given(bridge: Bridge, bags: Path) -> None:
+    write_bag(bags / "drive.mcap", messages(1))
+    pc, _ = two_sides(bridge, bags, may=False)
+    (group,) = pc.do(ListRecordings("robot1")).result(60)
+    assert not group.recordings
+    assert "may: {recordings: true}" in group.problem
+    with pytest.raises(EngineError, match=r"may: \{recordings: true\}"):
+        fetch(pc, "drive.mcap")
+
+
+def test_topics_that_it_may_not_read_are_left_out(bridge: Bridge, bags: Path, fetched: Path) -> None:
+    written = write_bag(bags / "drive.mcap", messages(1, topics=("/scan", "/secret")))
+    pc, _ = two_sides(bridge, bags, deny=("/secret",))
+    (drive,) = listed(pc).values()
+    assert [each.name for each in drive.topics] == ["/scan"]
+    with pytest.raises(EngineError, match="has no topic /secret that this side may read"):
+        fetch(pc, "drive.mcap", "/secret")
+    done(pc, fetch(pc, "drive.mcap"))
+    assert in_bag(fetched / "robot1-drive.mcap") == [each for each in written if each.channel.topic == "/scan"]
+
+
+def test_a_recording_that_changes_ends_the_fetch(bridge: Bridge, bags: Path, fetched: Path) -> None:
+    write_bag(bags / "drive.mcap", messages(20, 5000))
+    with Relay(("127.0.0.1", bridge.port), rate=500_000) as relay:
+        bridge.through(relay)
+        pc, _ = two_sides(bridge, bags)
+        name = fetch(pc, "drive.mcap")
+        eventually(lambda: report(pc, name).taken > 0, what="a piece has come")
+        with (bags / "drive.mcap").open("ab") as file:
+            file.write(b"more")
+        eventually(lambda: report(pc, name).state is FetchState.FAILED, what="it ends")
+        assert "has changed since it was listed" in report(pc, name).reason
+        assert not [*fetched.iterdir()]
+
+
+def test_a_fetch_outlives_cuts_and_restarts_of_each_side(bridge: Bridge, bags: Path, fetched: Path) -> None:
+    written = write_bag(bags / "drive.mcap", messages(60, 5000))
+    with Relay(("127.0.0.1", bridge.port), rate=600_000) as relay:
+        bridge.through(relay)
+        pc, robot = two_sides(bridge, bags)
+        name = fetch(pc, "drive.mcap")
+
+        def goes_on(than: int) -> None:
+            eventually(
+                lambda: (found := report(pc, name)).taken > than or found.state is FetchState.DONE, what="it goes on"
+            )
+
+        for cut in range(20):
+            goes_on(report(pc, name).taken)
+            relay.cut()
+            if cut == 6:
+                robot.stop()
+                robot = bridge.client(features=robot_features(bags))
+            elif cut == 13:
+                had = report(pc, name).taken
+                pc.stop()
+                pc = bridge.server()
+                eventually(partial(fetches, pc), what="it is taken up")
+                assert report(pc, name).taken >= had, "what had come is there"
+        assert report(pc, name).state is not FetchState.DONE, "all of them came in between"
+        relay.rate = None
+        done(pc, name)
+    assert in_bag(fetched / "robot1-drive.mcap") == written
+
+
+def test_a_fetch_is_given_up(bridge: Bridge, bags: Path, fetched: Path) -> None:
+    write_bag(bags / "drive.mcap", messages(20, 5000))
+    with Relay(("127.0.0.1", bridge.port), rate=500_000) as relay:
+        bridge.through(relay)
+        pc, _ = two_sides(bridge, bags)
+        name = fetch(pc, "drive.mcap")
+        eventually(lambda: report(pc, name).taken > 0, what="a piece has come")
+        pc.do(CancelFetch(name)).result(60)
+        assert report(pc, name).state is FetchState.FAILED
+        assert not [*fetched.iterdir()]
+        with pytest.raises(EngineError, match="there is no fetch"):
+            pc.do(CancelFetch(name)).result(60)
+
+
+def test_one_comes_after_the_other(bridge: Bridge, bags: Path, fetched: Path) -> None:
+    names = [f"drive{number}.mcap" for number in range(3)]
+    written = {name: write_bag(bags / name, messages(1, seed=number)) for number, name in enumerate(names)}
+    pc, _ = two_sides(bridge, bags)
+    for name in [fetch(pc, each) for each in names]:
+        done(pc, name)
+    for name in names:
+        assert in_bag(fetched / f"robot1-{name}") == written[name]
+    with pytest.raises(EngineError, match="several recordings drive"):
+        fetch(pc, "drive")
+    assert done(pc, fetch(pc, "drive1")).name == "robot1-drive1-2"
