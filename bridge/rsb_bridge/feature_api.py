@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from rsb_bridge.engine.bridge import Bridge
     from rsb_bridge.engine.part import EngineObserver, EnginePart, MovingPart
     from rsb_bridge.feature import EntryKey, Feature, MachineReport, PeerRight, SessionKey, ShownField
-    from rsb_bridge.link.armed_nodes import armed_of_nodes
+    from rsb_bridge.link.armed_nodes import are_parameters_open, armed_of_nodes
     from rsb_bridge.link.extension import Extension, LinkError, check_names
     from rsb_bridge.link.internal_routes import InternalRoutes
     from rsb_bridge.link.link import Link, link_named
@@ -74,7 +74,7 @@ _NAMES = {
     "rsb_bridge.engine.bridge": ("Bridge",),
     "rsb_bridge.engine.part": ("EngineObserver", "EnginePart", "MovingPart"),
     "rsb_bridge.feature": ("EntryKey", "Feature", "MachineReport", "PeerRight", "SessionKey", "ShownField"),
-    "rsb_bridge.link.armed_nodes": ("armed_of_nodes",),
+    "rsb_bridge.link.armed_nodes": ("are_parameters_open", "armed_of_nodes"),
     "rsb_bridge.link.extension": ("Extension", "LinkError", "check_names"),
     "rsb_bridge.link.internal_routes": ("InternalRoutes",),
     "rsb_bridge.link.link": ("Link", "link_named"),

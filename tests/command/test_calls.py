@@ -13,11 +13,9 @@ from tests.support.wording import says
 
 from rsb_bridge.api import EngineError, InvalidRequestError
 from rsb_bridge.config.decoding import ValueMistake
-from rsb_bridge.config.fields_text import FieldNote
 from rsb_bridge.config.topic_rules import A_KIND
 from rsb_bridge.config.validation import SessionMistake
 from rsb_bridge.model.calls import CallsSnapshot, GoalSnapshot
-from rsb_bridge.model.commands import Call, Command
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import ArmingSnapshot, Ledger, Stage, State
 from rsb_bridge.model.topic_keys import ForeignKey
@@ -27,8 +25,6 @@ from rsb_console.command.target import RouteChoice
 from rsb_console.notation.formats import AnswerText
 
 if TYPE_CHECKING:
-    from concurrent.futures import Future
-
     from tests.support.control import Machine
 
     from rsb_bridge.model.session import Kind
@@ -143,7 +139,7 @@ def test_command_for_other_kind_names_right_one(ran: Any, engine: ScriptedEngine
     )
     engine.now = replace(engine.now, routes=(SCAN, NODE))
     assert says(ran("call", "/dock").err, RouteChoice.OF_ANOTHER_KIND, topic="/dock", actual=A_KIND["topic"])
-    misspelt = ran("param", "list", "/contrller").err
+    misspelt = ran("call", "/contrller").err
     assert says(misspelt, RouteChoice.NOT_BRIDGED, topic="/contrller", hint="; did you mean /controller?")
 
 
@@ -247,22 +243,6 @@ def test_request_that_no_node_takes_is_wrong_usage(ran: Any, engine: ScriptedEng
     assert "speed" in refused.err
 
 
-class Node:
-    """Answers calls of its parameter services, in an engine's place."""
-
-    def __init__(self, engine: ScriptedEngine, **answers: str) -> None:
-        self.asked: list[tuple[str, Any]] = []
-        self._answers = answers
-        engine.answering = self._answer
-
-    def _answer(self, command: Command[Any]) -> Future[Any]:
-        from rsb_bridge.config.fields_text import read_fields
-
-        assert isinstance(command, Call)
-        self.asked.append((command.lane, read_fields(command.request)))
-        return answered(self._answers[command.lane])
-
-
 def test_a_cut_answer_is_an_error_for_programs(ran: Any, engine: ScriptedEngine) -> None:
     """The rest would be missing without a word."""
     engine.called_whole = answered(whole_answer("ab" * 16, b"\0\1\0\0\1"))
@@ -270,82 +250,3 @@ def test_a_cut_answer_is_an_error_for_programs(ran: Any, engine: ScriptedEngine)
     assert (done.code, done.json["ok"], done.json["response"]) == (1, False, {"success": True})
     assert says(done.json["error"], CallProblem.CUT, topic="/dock")
     assert done.json["goal_id"] == "ab" * 16
-    note = FieldNote.ELEMENTS(location="poses", shown=1, total=9)
-    engine.now = replace(engine.now, routes=(NODE,))
-    Node(
-        engine,
-        list_parameters=f"result:\n  names: [gains]\n# {note}\n",
-        get_parameters=f"values:\n- {{type: 6, bool_array_value: [true]}}\n# {note}\n",
-    )
-    for words in (("list", "/controller"), ("get", "/controller", "flags"), ("dump", "/controller")):
-        whole = ran("param", *words, "--json")
-        assert whole.code == 1
-        assert says(whole.json["error"], CallProblem.CUT, topic="/controller", what=note)
-        for_people = ran("param", *words)
-        assert (for_people.code, note in for_people.err) == (int(words[0] == "dump"), True)
-
-
-def test_parameters_are_listed_got_and_set(ran: Any, engine: ScriptedEngine) -> None:
-    engine.now = replace(engine.now, routes=(NODE,))
-    value = "type: 6\n  bool_value: false\n  byte_array_value: []\n  bool_array_value: [true, false]\n"
-    node = Node(
-        engine,
-        list_parameters="result:\n  names: [use_sim_time, gains]\n  prefixes: []\n",
-        get_parameters=f"values:\n- {value}",
-        set_parameters="results:\n- {successful: true, reason: ''}\n",
-    )
-    assert ran("param", "list", "/controller").out == "use_sim_time\ngains\n"
-    assert ran("param", "get", "/controller", "flags").out == "[true, false]\n"
-    assert ran("param", "get", "/controller", "flags", "--json").json == {"ok": True, "value": [True, False]}
-    for text in ("true", "3", "-0.5", "fast", "'3'", "[1, 2]", "[1.0, 2.5]", "[a, b]", ""):
-        done = ran("param", "set", "/controller", "gain", text)
-        assert (done.code, done.err) == (0, "")
-        assert f"gain of /controller: {text}" in done.out
-    assert node.asked[:2] == [("list_parameters", {}), ("get_parameters", {"names": ["flags"]})]
-    assert [asked["parameters"] for _, asked in node.asked[3:]] == [
-        [{"name": "gain", "value": {"type": kind, field: value}}]
-        for kind, field, value in (
-            ("1", "bool_value", "true"),
-            ("2", "integer_value", "3"),
-            ("3", "double_value", "-0.5"),
-            ("4", "string_value", "fast"),
-            ("4", "string_value", "3"),
-            ("7", "integer_array_value", ["1", "2"]),
-            ("8", "double_array_value", ["1.0", "2.5"]),
-            ("9", "string_array_value", ["a", "b"]),
-            ("4", "string_value", ""),
-        )
-    ]
-    made = {"node": "/controller", "parameter": "gain", "type": "double", "value": 0.5}
-    assert ran("param", "set", "/controller", "gain", "0.5", "--json").json == {"ok": True, **made}
-
-
-@pytest.mark.parametrize(
-    "text", ["{a: 1}", "[1, a]", "[]", "null", "[1", "[[1]]", "9223372036854775808", "[1, -1e5, 99999999999999999999]"]
-)
-def test_what_is_no_value_is_not_sent(ran: Any, engine: ScriptedEngine, text: str) -> None:
-    refused = ran("param", "set", "/controller", "gain", text)
-    assert refused.code == 2
-    assert refused.err.startswith(f"rsb-console: {text}: ")
-    assert engine.commands == []
-
-
-def test_a_node_that_refuses_is_quoted(ran: Any, engine: ScriptedEngine) -> None:
-    Node(
-        engine,
-        set_parameters="results:\n- {successful: false, reason: 'read only'}\n",
-        get_parameters="values: []\n",
-        list_parameters="# not read further: too short\n",
-    )
-    refused = ran("param", "set", "/controller", "gain", "1")
-    assert (refused.code, refused.err) == (
-        1,
-        f"rsb-console: {CallProblem.PARAMETER_REFUSED(node='/controller', parameter='gain', reason='read only')}\n",
-    )
-    unknown = ran("param", "get", "/controller", "gian")
-    assert (unknown.code, unknown.err) == (
-        1,
-        f"rsb-console: {CallProblem.PARAMETER_MISSING(node='/controller', parameter='gian')}\n",
-    )
-    unreadable = ran("param", "list", "/controller")
-    assert (unreadable.code, says(unreadable.err, CallProblem.UNREADABLE, topic="/controller")) == (1, True)

@@ -236,7 +236,7 @@ def prepare(line: str) -> None:
         memory = Memory(memory_path())
         memory.saw(Remembered("control", "robot9", NOW - 3600))
         memory.save()
-    if line.startswith(("params diff", "params load")):
+    if line.startswith(("param diff", "param load")):
         Path(line.rsplit(maxsplit=1)[-1]).write_text("/**: {ros__parameters: {use_sim_time: false}}\n")
     if line.startswith("audit"):
         from rsb_extras.audit.tests.written import write_sides

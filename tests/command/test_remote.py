@@ -467,16 +467,13 @@ NEEDED = {
     "add": "/scan transmit",
     "look": "/scan --once",
     "call": "/dock",
-    "param dump": "/n",
-    "param describe": "/n a",
-    "param list": "/n",
     "param get": "/n a",
+    "param describe": "/n",
+    "param list": "/n",
     "param set": "/n a 1",
-    "params get": "/n a",
-    "params set": "/n a 1",
-    "params dump": "/n",
-    "params diff": "/n a.yaml",
-    "params load": "/n a.yaml",
+    "param dump": "/n",
+    "param diff": "/n a.yaml",
+    "param load": "/n a.yaml",
 }
 """The arguments that commands need."""
 ALONE = ("status", "topics", "retry", "restart", "reload", "save", "events", "stop")

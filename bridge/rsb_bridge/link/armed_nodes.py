@@ -1,10 +1,11 @@
-"""Finds what is armed of some nodes: an operator who does not see that a node is driven must not change it."""
+"""Finds what routes say of nodes: what is armed of them, and whose parameters the other side may set by an entry."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 from rsb_bridge.ros.ros_interface import RosError
+from rsb_bridge.route.gates import why_not_by_hand
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -28,6 +29,15 @@ def armed_of_nodes(links: Iterable[Link], nodes: Sequence[str], ros: RosInterfac
             is_known = link is asker or asker.end.shows(route.local_topic, route.spec.kind)
             return route.local_topic if is_known else _UNNAMED
     return ""
+
+
+def are_parameters_open(link: Link, node: str) -> bool:
+    """Whether the other side may read and set a node's parameters now, as they are bridged."""
+    return any(
+        route.life.accepted and why_not_by_hand(route, route.context.now()) is None
+        for route in link.routes.values()
+        if route.spec.kind == "parameters" and not route.outgoing and route.local_topic == node
+    )
 
 
 def _concerns(route: Route, nodes: Sequence[str], ros: RosInterface) -> bool:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from rsb_bridge.installed_features import features_with, guarded, leave_taken
 from rsb_bridge.model.text import is_clean
 from rsb_console.command.bridge_arguments import add_bridge_commands
-from rsb_console.command.call_arguments import add_call_commands
+from rsb_console.command.call_arguments import add_call_command
 from rsb_console.command.client_arguments import add_client_commands
 from rsb_console.command.command_parser import CommandParser
 from rsb_console.command.local_arguments import add_completion, add_local_commands
@@ -42,7 +42,7 @@ _OF_CORE = (
     add_bridge_commands,
     add_topic_commands,
     add_watching_commands,
-    add_call_commands,
+    add_call_command,
     add_client_commands,
 )
 

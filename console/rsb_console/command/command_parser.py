@@ -11,6 +11,9 @@ from rsb_console.library_internals.argparse_internals import actions_of, command
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+NAMES_IN_ROS = frozenset(("topic", "topics", "node"))
+"""Arguments whose full names begin with a slash, unlike a bridge's before them."""
+
 
 class CommandParser(argparse.ArgumentParser):
     """Takes options in any place, and shows its own usage when it refuses something."""
@@ -51,8 +54,10 @@ class CommandParser(argparse.ArgumentParser):
         if commands_of(self) is not None:  # `fleet NAME`; a command that is mistyped has words of its own
             known = {name for action in own for name in action.choices or ()}
             return words[0] not in known and known.issuperset(words[1:2])
-        if {action.dest for action in own}.isdisjoint(("topic", "topics")):
+        if NAMES_IN_ROS.isdisjoint(action.dest for action in own):
             return False
+        if len(own) == len(words) == 1 and own[0].nargs == "?":  # `param list NAME`
+            return True
         # `ack NAME LINK` has no slash that gives the topic away: the number of words decides.
         one_too_many = all(action.nargs is None for action in own) and len(words) == len(own) + 1
         return one_too_many or any(word.startswith(("/", "*")) for word in words[1:])

@@ -21,6 +21,7 @@ from rsb_bridge.model.qos import AUTO, PROFILES
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.text import is_clean
 from rsb_bridge.model.topic_keys import ADDED_KEYS
+from rsb_console.command.command_parser import NAMES_IN_ROS
 from rsb_console.command.shell import OK, print_lines
 from rsb_console.library_internals.argparse_internals import actions_of, commands_of
 
@@ -83,7 +84,7 @@ def _bridge_at(parser: ArgumentParser, words: Sequence[str]) -> int | None:
         commands = commands_of(parser)
         if commands is None:
             takes = {each.dest for each in actions_of(parser)}
-            first = "bridge" in takes and not takes.isdisjoint(("topic", "topics")) and word in bridge_names()
+            first = "bridge" in takes and not takes.isdisjoint(NAMES_IN_ROS) and word in bridge_names()
             return number if first else None
         if word not in commands:
             return None
@@ -196,22 +197,6 @@ def asked_of_bridge(parsed_args: Namespace, ask: Callable[[RemoteEngine], list[s
 def awaited(**_: object) -> list[str]:
     """Return the conditions of `wait`. argcomplete asks for the first word after an option only."""
     return ["flowing", "linked", "stopped"]
-
-
-def parameters(parsed_args: Namespace, **_: object) -> list[str]:
-    """Return the parameters of the node that is named."""
-    from rsb_console.command.call_command import names_of  # noqa: PLC0415 (only here)
-    from rsb_console.command.target import chosen_route  # noqa: PLC0415 (only here)
-
-    arguments = _filled(parsed_args)
-    return _asked(arguments, lambda engine: names_of(engine, chosen_route(engine, arguments)))
-
-
-def parameter_types(**_: object) -> list[str]:
-    """Return the types that a parameter may have."""
-    from rsb_console.session.parameter_values import KIND_NAMES  # noqa: PLC0415 (only here)
-
-    return list(KIND_NAMES)
 
 
 def lanes(**_: object) -> list[str]:

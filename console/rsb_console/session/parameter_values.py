@@ -217,12 +217,6 @@ def _kind(plain: Any) -> ParameterKind:
     return _NAMED[f"{_ELEMENTS[kinds.pop()]}_array"]
 
 
-def value_of(fields: dict[str, Any]) -> Any:
-    """Return the value of a rcl_interfaces/msg/ParameterValue, or None if it has no value or an unknown type."""
-    number = int(fields["type"])
-    return fields[KINDS[number - 1].field] if 1 <= number <= len(KINDS) else None
-
-
 def refusal(answer: str) -> str | None:
     """Return the node's reason for not setting a parameter, or None if it was set.
 

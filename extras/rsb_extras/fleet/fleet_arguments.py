@@ -64,7 +64,7 @@ exit codes:
 {_NO_SERVER}"""
 _IN_FLEET = (
     "status", "topics", "add", "edit", "remove", "pause", "resume", "ack", "disarm", "retry", "events", "echo", "hz",
-    "bw", "info", "wait", "call", "param",
+    "bw", "info", "wait", "call",
 )  # fmt: skip
 """Commands of the core that `exec` runs."""
 

@@ -67,15 +67,15 @@ class NodeControl(Feature):
 
     def subcommands(self, add: AddCommand, complete: Complete) -> None:
         from rsb_extras.node_control.lifecycle_arguments import add_lifecycle  # noqa: PLC0415
-        from rsb_extras.node_control.params_arguments import add_params  # noqa: PLC0415
+        from rsb_extras.node_control.param_arguments import add_param  # noqa: PLC0415
 
         add_lifecycle(add, complete)
-        add_params(add, complete)
+        add_param(add, complete)
 
     def actions(self) -> Iterable[Action]:
         from rsb_console.feature_console import Action, Group, OnNode, late  # noqa: PLC0415
         from rsb_extras.node_control.lifecycle_arguments import CHAPTERS  # noqa: PLC0415
-        from rsb_extras.node_control.params_arguments import CHAPTERS as PARAMETER_CHAPTERS  # noqa: PLC0415
+        from rsb_extras.node_control.param_arguments import CHAPTERS as PARAMETER_CHAPTERS  # noqa: PLC0415
 
         screen = "rsb_extras.node_control.lifecycle_screen"
         return (

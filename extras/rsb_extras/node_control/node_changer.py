@@ -11,7 +11,7 @@ from weakref import WeakSet
 
 import msgspec
 
-from rsb_bridge.feature_api import Level, Wording, armed_of_nodes, sanitize_text
+from rsb_bridge.feature_api import Level, Wording, are_parameters_open, armed_of_nodes, sanitize_text
 from rsb_extras.node_control import GROUPS, MAY_CHANGE
 from rsb_extras.node_control.change_records import (
     MOST_CHANGES,
@@ -167,9 +167,10 @@ class NodeChanger:
         shows = asker.link is None or SHOW_NODES.of(asker.link.end.rights)
         if not ask.node:
             names = await nodes_with_parameters(self._context)
-            nodes = (ParameterNode(each, self._may(asker, each)) for each in names)
+            nodes = (ParameterNode(each, self._may_set(asker, each)) for each in names)
             return ParametersAnswer(ask.request, nodes=tuple(each for each in nodes if shows or each.allowed))
-        if problem := self._lacks_right(ask.node, (ask.node,), asker, ChangeProblem.NOT_READ):
+        if not self._may_set(asker, ask.node):
+            problem = self._lacks_right(ask.node, (ask.node,), asker, ChangeProblem.NOT_READ)
             return ParametersAnswer(ask.request, problem=sanitize_text(problem))
         return await page_of(self.services, ask)
 
@@ -187,7 +188,7 @@ class NodeChanger:
         if action == "set" and ("/" not in target or not is_settable(values)):
             problem = ChangeProblem.NO_VALUES(most=MOST_SET, size=LARGEST_CHANGE)
             return ChangeOutcome(refused=True, reason=problem)
-        while not (refusal := self._refusal(target, nodes, asker)) and (others := self._overlapping(nodes)):
+        while not (refusal := self._refusal(target, nodes, action, asker)) and (others := self._overlapping(nodes)):
             for each in others:
                 each.work.cancel()
             await asyncio.wait([each.outcome for each in others if each.outcome is not None])
@@ -212,12 +213,16 @@ class NodeChanger:
         given = MAY_CHANGE.of(asker.link.end.rights)
         return any(node == each or node in self._groups.get(each, ()) for each in given)
 
+    def _may_set(self, asker: ChangeAsker, node: str) -> bool:
+        return self._may(asker, node) or _is_bridged(asker, node)
+
     def _overlapping(self, nodes: Sequence[str]) -> list[_Doing]:
         return [each for each in self._doing if not {*each.nodes}.isdisjoint(nodes)]
 
-    def _refusal(self, target: str, nodes: Sequence[str], asker: ChangeAsker) -> str:
+    def _refusal(self, target: str, nodes: Sequence[str], action: ChangeAction, asker: ChangeAsker) -> str:
         now, is_own = self._context.now(), asker.link is None
-        if refusal := self._lacks_right(target, nodes, asker):
+        is_bridged = action == "set" and _is_bridged(asker, target)
+        if not is_bridged and (refusal := self._lacks_right(target, nodes, asker)):
             return refusal
         if not nodes:
             return ChangeProblem.NO_GROUP(owner=self._context.session.name, name=target)
@@ -231,8 +236,10 @@ class NodeChanger:
             return ChangeProblem.FULL(count=_AT_ONCE)
         if sum(now - each < STARTS_WITHIN for each in self._starts[is_own]) >= STARTS:
             return ChangeProblem.TOO_OFTEN(most=STARTS, seconds=STARTS_WITHIN)
-        # The robot's own operator knows what is driven there.
-        what = "" if asker.link is None else armed_of_nodes(self.links, nodes, self._context.ros, asker.link)
+        # The robot's own operator knows what is driven there, and an entry has an arming of its own.
+        what = (
+            "" if asker.link is None or is_bridged else armed_of_nodes(self.links, nodes, self._context.ros, asker.link)
+        )
         return ChangeProblem.ARMED(what=what) if what else ""
 
     def _lacks_right(
@@ -302,3 +309,8 @@ class NodeChanger:
         if ending := [each.outcome for each in self._doing if each.outcome is not None]:
             await asyncio.wait(ending)
         self.services.close()
+
+
+def _is_bridged(asker: ChangeAsker, node: str) -> bool:
+    """Whether the other side can set a node's parameters by their services, too."""
+    return asker.link is not None and are_parameters_open(asker.link, node)

@@ -57,7 +57,7 @@ class ParametersScreenText(Wording):
     COUNTS = "{count} parameters, {read_only} read-only, {changed} changed since this screen was opened"
     NO_MATCH = "no match"
     MAY_NOT = "{name}: {reason}"
-    TOO_LARGE = "too large for a form: rsb-console params set, or load a file"
+    TOO_LARGE = "too large for a form: rsb-console param set, or load a file"
     ASK = "Set {name} of {node}?"
     MEANS = "{change}\nof {side}. What the node drives may move otherwise at once."
     HELP = "{type}, in YAML. {about}"

@@ -11,6 +11,7 @@ from rsb_extras.node_control.parameter_requests import ListParameterNodes, ReadP
 
 if TYPE_CHECKING:
     from argparse import Namespace
+    from collections.abc import Iterator
 
     from rsb_bridge.feature_api import RemoteEngine
 
@@ -29,7 +30,8 @@ def nodes_with_parameters(parsed_args: Namespace, **_: object) -> list[str]:
     """Return the nodes with parameters of both sides of a bridge."""
 
     def names(engine: RemoteEngine) -> list[str]:
-        return [each.name for side in result(engine.do(ListParameterNodes())) for each in side.nodes]
+        listed = [each.name for side in result(engine.do(ListParameterNodes())) for each in side.nodes]
+        return [*dict.fromkeys((*listed, *(name for _, name in bridged_parameters(engine))))]
 
     return asked_of_bridge(parsed_args, names)
 
@@ -41,7 +43,26 @@ def parameter_names(parsed_args: Namespace, **_: object) -> list[str]:
     def names(engine: RemoteEngine) -> list[str]:
         sides = result(engine.do(ListParameterNodes(link)))
         having = [side.link for side in sides if node in {each.name for each in side.nodes}]
+        having += [each for each, name in bridged_parameters(engine) if name == node and each == (link or each)]
         chosen = [each for each in having if not (here and each)]
-        return [each.name for each in result(engine.do(ReadParameters(node, link=chosen[0])))] if chosen else []
+        if not chosen:
+            return []
+        of_node = own_name(engine, chosen[0], node)
+        return [each.name for each in result(engine.do(ReadParameters(of_node, link=chosen[0])))]
 
     return asked_of_bridge(parsed_args, names)
+
+
+def bridged_parameters(engine: RemoteEngine) -> Iterator[tuple[str, str]]:
+    """Yield the links and the names on this side of the other sides' nodes whose parameters are bridged."""
+    for route in engine.snapshot().routes:
+        if route.spec.kind == "parameters" and route.outgoing:
+            yield route.link, route.topic
+
+
+def own_name(engine: RemoteEngine, link: str, node: str) -> str:
+    """Return the name that a node has on its own side, if it is bridged under another one."""
+    for route in engine.snapshot().routes:
+        if route.spec.kind == "parameters" and route.outgoing and (route.link, route.topic) == (link, node):
+            return route.remote_topic
+    return node

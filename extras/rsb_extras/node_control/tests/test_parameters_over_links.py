@@ -160,6 +160,17 @@ def test_without_the_right_nothing_is_read_or_set(bridge: Bridge, node: TunedNod
     assert node["frame"] == "odom"
 
 
+def test_an_entry_with_arm_gives_the_right_while_armed(
+    bridge: Bridge, node: TunedNode, consoles: Consoles, long_lease: None
+) -> None:
+    there, _ = two_sides(bridge, topics=(Topic(NODE, "receive", kind="parameters", arm=True),))
+    eventually(lambda: any(route.topic == NODE for route in there.snapshot().routes), what="the entry's route")
+    assert change(there, new("frame", "string", "odom")).refused
+    consoles.arm(there, NODE)
+    assert change(there, new("frame", "string", "odom")).done
+    assert read(there)["frame"].value.plain() == node["frame"] == "odom"
+
+
 def test_hidden_nodes_are_not_listed(bridge: Bridge, node: TunedNode) -> None:
     pc, _ = two_sides(bridge, features={"show_nodes": False})
     assert sides(pc) == ()

@@ -1,4 +1,4 @@
-"""The arguments of the command ``params``, and the keys of its screen."""
+"""The arguments of the command ``param``, and the keys of its screen."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rsb_console.feature_console import NO_BRIDGE, KeyChapter, bridge_options, inherit_bridge_options, subcommand
+from rsb_extras.node_control.parameter_records import PARAMETER_TYPES
 
 if TYPE_CHECKING:
     from argparse import ArgumentParser
@@ -13,16 +14,16 @@ if TYPE_CHECKING:
     from rsb_console.feature_console import AddCommand, Complete
 
 _MORE = f"""\
-The node may be of either side, and nothing has to be bridged for it: the bridge of
-its side asks it. What this side may change there, the session file of the node's
-machine says (may). A change asks first, and shows the old value and the new one.
-For a node that is bridged for programs, too, there is rsb-console param.
+The node may be of either side: the bridge of its side asks it. Of the other side's
+nodes, this side may read and set those that are bridged (rsb-console add
+--parameters), and those that the session file of their machine names (may). A
+change asks first, and shows the old value and the new one.
 
 for example:
-  rsb-console params list /lidar_driver
-  rsb-console params set /lidar_driver frame base_laser
-  rsb-console params dump /lidar_driver --output lidar.yaml
-  rsb-console params diff /lidar_driver lidar.yaml
+  rsb-console param list /lidar_driver
+  rsb-console param set /lidar_driver frame base_laser
+  rsb-console param dump /lidar_driver --output lidar.yaml
+  rsb-console param diff /lidar_driver lidar.yaml
 
 exit codes:
   0  done; for diff, nothing differs
@@ -30,7 +31,8 @@ exit codes:
 {NO_BRIDGE}"""
 _COMMANDS = {
     "list": "list the nodes with parameters, or a node's parameters with what may be set",
-    "get": "print values, which may be long",
+    "get": "print a value, or several as YAML",
+    "describe": "print types, ranges, read-only marks and descriptions",
     "set": "set one parameter or several, all or none",
     "dump": "print all parameters as YAML, as ros2 param dump does",
     "diff": "show what a file would change",
@@ -49,14 +51,14 @@ CHAPTERS = (
 )  # fmt: skip
 
 
-def add_params(add: AddCommand, complete: Complete) -> None:
+def add_param(add: AddCommand, complete: Complete) -> None:
     summary = "list, set, save and load the parameters of either side's nodes"
-    parent = add("params", subcommand("rsb_extras.node_control.params_command:list_all"), summary, _MORE)
+    parent = add("param", subcommand("rsb_extras.node_control.param_command:list_all"), summary, _MORE)
     bridge_options(parent, complete)
     commands = parent.add_subparsers(metavar="COMMAND", required=True)
     for name, about in _COMMANDS.items():
         parser = commands.add_parser(name, help=about, description=f"{about[0].upper()}{about[1:]}.")
-        parser.set_defaults(command=subcommand(f"rsb_extras.node_control.params_command:{name}_all"), in_fleet=True)
+        parser.set_defaults(command=subcommand(f"rsb_extras.node_control.param_command:{name}_all"), in_fleet=True)
         bridge_options(parser, complete)
         inherit_bridge_options(parser)
         node = parser.add_argument("node", metavar="NODE", nargs="?" if name == "list" else None, help="its full name")
@@ -71,11 +73,14 @@ def add_params(add: AddCommand, complete: Complete) -> None:
 
 def _add_words(parser: ArgumentParser, complete: Complete, name: str) -> None:
     completer = "rsb_extras.node_control.target_names:parameter_names"
-    if name == "get":
-        complete(parser.add_argument("names", nargs="+", metavar="NAME", help="the parameters"), completer)
+    if name in ("get", "describe"):
+        count = "+" if name == "get" else "*"
+        complete(parser.add_argument("names", nargs=count, metavar="NAME", help="the parameters"), completer)
     elif name == "set":
         about = "a parameter and its value in YAML, as 0.5, true, text or [1, 2]; then further ones"
         complete(parser.add_argument("pairs", nargs="+", metavar="NAME VALUE", help=about), completer)
+        about = "the values' type, for parameters that may have any, and for such as the node has not yet"
+        parser.add_argument("--type", default="", choices=PARAMETER_TYPES[1:], metavar="TYPE", help=about)
     elif name == "dump":
         parser.add_argument("--output", type=Path, metavar="FILE", help="the file to write")
     elif name in ("diff", "load"):

@@ -1,4 +1,4 @@
-"""The command ``params``: its lists, its question, and files that are written, compared and loaded."""
+"""The command ``param``: its lists, its question, and files that are written, compared and loaded."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ def told(machine: Machine) -> list[Any]:
 
 def test_nodes_and_parameters_are_listed(machine: Machine, ran: Run) -> None:
     machine.serve()
-    assert [line.split() for line in ran("params", "list").out.splitlines()] == [
+    assert [line.split() for line in ran("param", "list").out.splitlines()] == [
         ["NAME", "SIDE"],
         ["/camera", "this", "side"],
         ["/controller", "the", "server", "no", "right"],
         ["/lidar_driver", "the", "server"],
         [NODE, "the", "server"],
     ]
-    listed = ran("params", "list", NODE)
+    listed = ran("param", "list", NODE)
     assert listed.code == OK
     assert listed.out.splitlines() == [
         "NAME             VALUE                   TYPE          ABOUT",
@@ -60,7 +60,7 @@ def test_nodes_and_parameters_are_listed(machine: Machine, ran: Run) -> None:
         "serial           A-17                    string        read-only",
         "use_sim_time     false                   bool",
     ]
-    found = ran("params", "list", NODE, "--json").json
+    found = ran("param", "list", NODE, "--json").json
     assert (found["ok"], found["link"]) == (True, "robot1")
     assert found["parameters"][2] == {
         "name": "max_speed", "type": "double", "value": 0.5, "size": 0, "read_only": False, "dynamic": False,
@@ -70,16 +70,16 @@ def test_nodes_and_parameters_are_listed(machine: Machine, ran: Run) -> None:
 
 def test_a_change_asks_first_and_shows_old_and_new(machine: Machine, ran: Run) -> None:
     machine.serve()
-    refused = ran("params", "set", NODE, "max_speed", "1", "frame", "odom")
+    refused = ran("param", "set", NODE, "max_speed", "1", "frame", "odom")
     assert (refused.code, told(machine)) == (USAGE, [])
     assert "no operator can answer: give --yes" in refused.err
-    done = ran("params", "set", NODE, "max_speed", "1", "frame", "7", "--yes")
+    done = ran("param", "set", NODE, "max_speed", "1", "frame", "7", "--yes")
     assert (done.code, done.out.splitlines()) == (
         OK,
         ["  frame: map → '7'", "  max_speed: 0.5 → 1.0", f"{NODE} of the server: set: done in 2.0 s"],
     )
     assert told(machine) == [(NODE, "set", "robot1", [("frame", "7"), ("max_speed", 1.0)])]
-    found = ran("params", "set", NODE, "frame", "odom", "--yes", "--json").json
+    found = ran("param", "set", NODE, "frame", "odom", "--yes", "--json").json
     assert (found["ok"], found["changed"]) == (True, [{"name": "frame", "type": "string", "old": "map", "new": "odom"}])
 
 
@@ -100,7 +100,7 @@ def test_a_change_asks_first_and_shows_old_and_new(machine: Machine, ran: Run) -
 )
 def test_what_cannot_be_set_is_not_asked_for(machine: Machine, ran: Run, name: str, value: str, why: str) -> None:
     machine.serve()
-    refused = ran("params", "set", NODE, name, value, "--yes")
+    refused = ran("param", "set", NODE, name, value, "--yes")
     assert refused.code == FAILURE
     assert why in refused.err
     assert told(machine) == []
@@ -108,19 +108,19 @@ def test_what_cannot_be_set_is_not_asked_for(machine: Machine, ran: Run, name: s
 
 def test_a_nodes_refusal_has_its_reason(machine: Machine, ran: Run) -> None:
     machine.serve()
-    failed = ran("params", "set", NODE, "retries", "6", "--yes")
+    failed = ran("param", "set", NODE, "retries", "6", "--yes")
     assert failed.code == FAILURE
     assert "set: /controller does not set retries: not while it drives" in failed.err
-    found = ran("params", "set", NODE, "retries", "6", "--yes", "--json")
+    found = ran("param", "set", NODE, "retries", "6", "--yes", "--json")
     assert (found.code, found.json["ok"], found.json["changed"]) == (FAILURE, False, [])
 
 
 def test_wrong_usage_names_the_remedy(machine: Machine, ran: Run) -> None:
     machine.serve()
-    assert "frame has no value" in ran("params", "set", NODE, "frame").err
-    unknown = ran("params", "list", "/base")
+    assert "frame has no value" in ran("param", "set", NODE, "frame").err
+    unknown = ran("param", "list", "/base")
     assert (unknown.code, "there are: /camera, /controller" in unknown.err) == (USAGE, True)
-    assert "no such file" in ran("params", "load", NODE, "missing.yaml").err
+    assert "no such file" in ran("param", "load", NODE, "missing.yaml").err
 
 
 def test_a_file_is_compared_and_loaded(machine: Machine, ran: Run, tmp_path: Path) -> None:
@@ -131,7 +131,7 @@ def test_a_file_is_compared_and_loaded(machine: Machine, ran: Run, tmp_path: Pat
         "nav:\n  planner_server:\n    ros__parameters:\n"
         "      frame: map\n      max_speed: 1\n      planner: {plugins: []}\n      serial: B-1\n      ghost: 1\n"
     )
-    shown = ran("params", "diff", NODE, str(path))
+    shown = ran("param", "diff", NODE, str(path))
     assert (shown.code, shown.out.splitlines()) == (
         FAILURE,
         [
@@ -142,17 +142,17 @@ def test_a_file_is_compared_and_loaded(machine: Machine, ran: Run, tmp_path: Pat
             "ghost is left out: the node has no such parameter",
         ],
     )
-    loaded = ran("params", "load", NODE, str(path), "--yes")
+    loaded = ran("param", "load", NODE, str(path), "--yes")
     assert loaded.code == OK
     assert told(machine) == [
         (NODE, "set", "robot1", [("use_sim_time", True), ("max_speed", 1.0), ("planner.plugins", [])])
     ]
     assert "serial is left out: it is read-only" in loaded.err
-    found = ran("params", "load", NODE, str(path), "--yes", "--json").json
+    found = ran("param", "load", NODE, str(path), "--yes", "--json").json
     assert found["left_out"] == {"serial": "it is read-only", "ghost": "the node has no such parameter"}
     path.write_text(f"{NODE}: {{ros__parameters: {{frame: map}}}}\n")
-    assert ran("params", "diff", NODE, str(path)).code == OK
-    assert "nothing to set" in ran("params", "load", NODE, str(path)).out
+    assert ran("param", "diff", NODE, str(path)).code == OK
+    assert "nothing to set" in ran("param", "load", NODE, str(path)).out
 
 
 @pytest.mark.parametrize(
@@ -171,7 +171,7 @@ def test_a_wrong_file_sets_nothing(machine: Machine, ran: Run, tmp_path: Path, t
     machine.serve()
     path = tmp_path / "nav.yaml"
     path.write_text(text)
-    refused = ran("params", "load", NODE, str(path), "--yes")
+    refused = ran("param", "load", NODE, str(path), "--yes")
     assert told(machine) == [] or why == "frame: odom"
     assert why in refused.err or why == "frame: odom"
 
@@ -185,29 +185,29 @@ def test_a_real_node_is_saved_changed_and_restored(
         there = bridge.client(features=has(node))
         pc = machine.have(bridge.server())
         eventually(lambda: linked(pc) and linked(there), what="linked")
-        eventually(lambda: node in ran("params", "list").out, what="the node")
-        dumped = ran("params", "dump", node, "--output", str(path))
+        eventually(lambda: node in ran("param", "list").out, what="the node")
+        dumped = ran("param", "dump", node, "--output", str(path))
         assert (dumped.code, dumped.err) == (OK, "")
         read = parameter_dict_from_yaml_file(str(path), target_nodes=[node])
         assert {"planner.tolerance", "planner.plugin.name", "frame", "max_speed"} <= {*read}
         nested = yaml.safe_load(path.read_text())[node]["ros__parameters"]
         assert nested["planner"] == {"plugin": {"name": "grid"}, "tolerance": 0.25}
         assert (nested["description"], nested["raw"], nested["ids"]) == (LARGE, [0, 255], VALUES["ids"])
-        assert ran("params", "dump", node).out == path.read_text()
-        assert ran("params", "diff", node, str(path)).code == OK
-        changed = ran("params", "set", node, "max_speed", "1.2", "raw", "[1]", "gains", "[]", "any", "a text", "--yes")
+        assert ran("param", "dump", node).out == path.read_text()
+        assert ran("param", "diff", node, str(path)).code == OK
+        changed = ran("param", "set", node, "max_speed", "1.2", "raw", "[1]", "gains", "[]", "any", "a text", "--yes")
         assert (changed.code, changed.err) == (OK, "")
         assert (tuned["max_speed"], tuned["raw"], [*tuned["gains"]], tuned["any"]) == (1.2, [b"\x01"], [], "a text")
-        assert ran("params", "diff", node, str(path)).out.splitlines() == [
+        assert ran("param", "diff", node, str(path)).out.splitlines() == [
             "any: a text → 1", "gains: [] → [1.5, -2.0]", "max_speed: 1.2 → 0.5", "raw: [1] → [0, 255]",
         ]  # fmt: skip
-        assert ran("params", "load", node, str(path), "--yes").code == OK
-        assert ran("params", "diff", node, str(path)).code == OK
+        assert ran("param", "load", node, str(path), "--yes").code == OK
+        assert ran("param", "diff", node, str(path)).code == OK
         assert (tuned["max_speed"], tuned["any"]) == (0.5, 1)
-        assert LARGE.splitlines()[1] in ran("params", "get", node, "description").out
-        assert ran("params", "get", node, "unset", "--json").json["parameters"][0]["value"] is None
+        assert LARGE.splitlines()[1] in ran("param", "get", node, "description").out
+        assert ran("param", "get", node, "unset", "--json").json["parameters"][0]["value"] is None
         tuned.refused = "not while it drives"
-        assert "not while it drives" in ran("params", "set", node, "frame", "odom", "--yes").err
+        assert "not while it drives" in ran("param", "set", node, "frame", "odom", "--yes").err
 
 
 def test_any_names_are_written_and_read_again(tmp_path: Path) -> None:
