@@ -110,10 +110,13 @@ class TurnJourneys(Yard):
         super().__init__(*topics)
         self._writers = self.publish(*[each.topic for each in topics])
 
-    async def measure(self) -> None:
+    def _listen(self) -> None:
         for each in self._writers:
             topic = f"/{self._name}{each.topic}"
             Reader(self.server.domain, "/node", topic, STRING, hash_of(STRING), Qos(), lambda _: None)
+
+    async def measure(self) -> None:
+        self._listen()
         for _ in range(40):
             for each in self._writers:
                 each.publish(_MESSAGE)
@@ -148,6 +151,22 @@ class TurnJourneys(Yard):
             turns.gathered()
 
 
+class SecondJourneys(TurnJourneys):
+    async def measure(self) -> None:
+        flow = asyncio.get_running_loop().create_task(self._flow())
+        await asyncio.sleep(60.0)  # until their usual rates are known
+        with _counting("ten seconds of ten topics at 10 Hz"):
+            await asyncio.sleep(10.0)
+        flow.cancel()
+
+    async def _flow(self) -> None:
+        self._listen()
+        while True:
+            for each in self._writers:
+                each.publish(_MESSAGE)
+            await asyncio.sleep(0.1)
+
+
 class ServiceJourneys(CallHarness):
     async def measure(self) -> None:
         self.server()
@@ -163,7 +182,7 @@ class ServiceJourneys(CallHarness):
 
 def main() -> None:
     journeys: Bed
-    for journeys in (TopicJourneys(), TurnJourneys(), ServiceJourneys()):
+    for journeys in (TopicJourneys(), TurnJourneys(), SecondJourneys(), ServiceJourneys()):
         journeys.world.invariants.check = lambda: None  # type: ignore[method-assign]  # they count the world's own flows
         journeys.world.play(life=journeys.live(journeys.measure()))
     for name, by_function in _counted.items():

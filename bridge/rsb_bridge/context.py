@@ -64,6 +64,7 @@ class Context:
         rests: tasks that publish rests after an arming, to be awaited before the ROS side stops.
         names_changed: to be called when another set of names of the graph is followed (`link.graph_watch.NameWatch`).
         is_unsaved: returns whether the running session differs from its file; with many topics it takes a while.
+        is_looked_at: returns whether anybody looks at the figures all the time, as an attached console does.
         place: places a route's ends in ROS (`route.half.Half.places`), which may be made now, by the names of nodes on
             the other side that have it.
         tap_of: returns what gets all messages of a topic (`route.peeking.Tap`), or None. It takes the topic's name on
@@ -95,6 +96,7 @@ class Context:
     rests: set[asyncio.Task[None]] = field(default_factory=set)
     names_changed: Callable[[], None] = lambda: None
     is_unsaved: Callable[[], bool] = lambda: False
+    is_looked_at: Callable[[], bool] = lambda: False
     place: Callable[[Any, Sequence[str]], None] = lambda _, __: None
     tap_of: Callable[[str, Any], Callable[[bytes, int, int, bytes, int], None] | None] = lambda _, __: None
     _shared: dict[Callable[[Context], Any], Any] = field(default_factory=dict)

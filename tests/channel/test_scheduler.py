@@ -232,7 +232,7 @@ async def test_without_receipts_little_is_in_transit() -> None:
         route.flush()
         await pass_seconds(10, near, far)
         assert 0 < near.in_transit() <= 8 * 1024
-        assert not near.routes[1].channel.moves
+        assert not near.routes[1].channel.via.moves
 
 
 async def test_rare_receipts_are_no_full_link() -> None:

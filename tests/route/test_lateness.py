@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import count, islice
+
 import pytest
 from tests.route.topic_verdict_helpers import NOW, RECEIVER, SENDER, verdict_on
 
@@ -159,13 +161,13 @@ def test_the_recent_latency_is_of_the_last_second() -> None:
     meter = LatencyMeter()
     for transit in [0.003] * 500:
         meter.add(transit)
-    meter.tick()
+    meter.tick(1.0)
     for transit in (12.0, 12.2, 12.1):
         meter.add(transit)
-    meter.tick()
-    assert (meter.recent, meter.p50) == (12.1, 0.003)
-    meter.tick()
-    assert (meter.recent, meter.p50) == (None, 0.003)
+    meter.tick(2.0)
+    assert (meter.recent, meter.percentiles()[0]) == (12.1, 0.003)
+    meter.tick(3.0)
+    assert (meter.recent, meter.percentiles()[0]) == (None, 0.003)
 
 
 def test_seconds_have_two_figures() -> None:
@@ -174,14 +176,14 @@ def test_seconds_have_two_figures() -> None:
 
 def test_shown_latency_is_of_last_ten_seconds() -> None:
     """A jam of 15 s: nothing comes, then messages that are 2 s old, then again the usual ones."""
-    meter = LatencyMeter(10)
+    meter, seconds = LatencyMeter(10.0), count()
 
-    def ticks(count: int, *transits: float) -> tuple[float | None, float | None]:
-        for _ in range(count):
+    def ticks(number: int, *transits: float) -> tuple[float | None, float | None]:
+        for now in islice(seconds, number):
             for transit in transits:
                 meter.add(transit)
-            meter.tick()
-        return meter.p50, meter.p99
+            meter.tick(now)
+        return meter.percentiles()
 
     assert ticks(400, 0.01, 0.01) == (0.01, 0.01)
     assert ticks(15) == (None, None)
@@ -194,17 +196,12 @@ def test_shown_latency_is_of_last_ten_seconds() -> None:
 
 
 def test_figures_of_other_side_count_for_as_long() -> None:
-    meter = LatencyMeter(10)
-    meter.take_reported(0.01, 0.02, 0.0)
-    for _ in range(9):
-        meter.tick()
-    assert (meter.p50, meter.p99) == (0.01, 0.02)
-    meter.tick()
-    assert (meter.p50, meter.p99, meter.jitter) == (None, None, 0.0)
-    meter.take_reported(0.01, 0.02, 0.0)
-    assert meter.p50 == 0.01
-    meter.take_reported(None, None, 0.0)
-    assert meter.p50 is None
+    meter = LatencyMeter(10.0)
+    meter.take_reported(0.01, 0.02, 0.0, 5.0)
+    meter.tick(14.9)
+    assert meter.percentiles() == (0.01, 0.02)
+    meter.tick(15.0)
+    assert (*meter.percentiles(), meter.jitter) == (None, None, 0.0)
 
 
 @pytest.mark.parametrize("mistake", [float("nan"), float("inf"), -float("inf"), 1e9])

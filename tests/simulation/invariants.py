@@ -59,7 +59,7 @@ _BOUNDED = {
     ".undecided": MOST_GOALS,
     ".sinks[]._waiting": KEPT_DEPTH,
     ".sinks[]._free": KEPT_DEPTH,
-    "._outbox._queue.waiting": KEPT_DEPTH,
+    "._outbox.queue.waiting": KEPT_DEPTH,
 }
 """Tables that are kept for people, or for an hour, or that have a message or a number for each that DDS or a link takes
 later."""

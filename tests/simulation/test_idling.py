@@ -11,6 +11,7 @@ from unittest.mock import patch
 
 import pytest
 from tests.route.time_by_event_helpers import differences, shown_by
+from tests.simulation.beds import Yard, until
 from tests.simulation.conditions import LIVELY, QUIET, STILL, Conditions
 from tests.simulation.episodes import type_differs_for
 from tests.simulation.node import Node
@@ -20,6 +21,7 @@ from tests.support.long import long_cases
 
 from rsb_bridge.context import Context
 from rsb_bridge.link.link import Link
+from rsb_bridge.model.session import Topic
 from rsb_bridge.route.idling import Idling, Timetable
 from rsb_bridge.wire.messages import Ping, Propose, Report
 
@@ -82,6 +84,20 @@ def test_route_of_different_types_is_proposed_rarely() -> None:
     world = World(1, STILL)
     sent = count_messages(world, _WHILE, type_differs_for(world, 2 * _WHILE))
     assert 0.9 * _WHILE / 10.0 - 10 < sent[Propose] <= _WHILE / 10.0
+
+
+def test_both_sides_know_that_somebody_looks_on_one() -> None:
+    yard = Yard(Topic("/chat", "transmit"))
+
+    async def live() -> None:
+        there, here = yard.link(), yard.link(on_server=True)
+        assert (here.is_looked_at, there.is_looked_at) == (False, False)
+        here.context.is_looked_at = lambda: True
+        await until(lambda: here.is_looked_at and there.is_looked_at, within=3.0)
+        here.context.is_looked_at = lambda: False
+        await until(lambda: not (here.is_looked_at or there.is_looked_at), within=3.0)
+
+    yard.world.play(life=yard.live(live()))
 
 
 @contextmanager

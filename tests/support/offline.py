@@ -86,6 +86,7 @@ class FakePeer:
     explain: Any = None
     transforms: Any = None
     connections = 1
+    is_looked_at = False
 
     def __init__(self) -> None:
         self.sent: list[ControlMessageBase] = []

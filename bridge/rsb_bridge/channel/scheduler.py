@@ -377,6 +377,10 @@ class Scheduler:
             return 0.0
         return max(0.0, now - self.waits_since)
 
+    def moving(self) -> set[Carrier]:
+        """Return the carriers that deliver what they send."""
+        return {each for each in self._carriers if each.moves}
+
     @property
     def stalls_after(self) -> float:
         """Seconds without a receipt after which a stream or socket delivers nothing."""
@@ -446,11 +450,6 @@ class SendingChannel(DataChannel):
     def batch_bytes(self) -> int:
         """Bytes to send at once; a single message may be longer."""
         return self._scheduler.chunk
-
-    @property
-    def moves(self) -> bool:
-        """Whether what it sends on delivers."""
-        return self.via.moves
 
     def still(self, now: float) -> float:
         """Return for how long (s) no receipt has come on the link, at `now` (s)."""

@@ -121,6 +121,7 @@ class Bridge:
         self._names = NameWatch(context, self._followers)
         context.names_changed = self._names.changed
         context.is_unsaved = lambda: self.role.unsaved
+        context.is_looked_at = lambda: self._snapshots.is_looked_at
         self.graph_watch = GraphWatch(context, self.role.links, self._names.changed)
         self.log = CommandLog(context.events)
         self._tasks = Tasks(context.loop, lambda: None)

@@ -127,6 +127,7 @@ class BaseLink:
         self.connections = 0
         self.via = ""  # device of this machine that carries the last connection, or empty if it is unknown
         self.linked_at = 0.0
+        self.is_looked_at = False
         self.status = LinkStatus(context.clock.steady())
         self.bridges: tuple[str, ...] = ()
         """Names of the bridge nodes in the peer's domain, its own first; empty as long as they are unknown."""

@@ -82,13 +82,14 @@ class LinkFullness(Extension):
         scheduler, now, at = link.channels.scheduler, link.context.now(), link.context.wall()
         asked: list[Asked] = []
         called = 0.0
+        moving = scheduler.moving()
         for route in link.awake:
             if route.duplex:
                 called += route.meter.bytes_per_second
             elif isinstance(route.half, Sender) and route.half.carried.channel is not None and route.connected:
                 rate = route.half.path.traffic.measure(now)
                 # What waits for a path that takes nothing says nothing about the others.
-                if rate and route.half.carried.channel.moves:
+                if rate and route.half.carried.channel.via in moving:
                     asked.append(Asked(route.topic, route.remote_topic, rate))
         arrived, self._arrived = scheduler.arrived - self._arrived, scheduler.arrived
         full = scheduler.waits_for(now) >= _NEVER_EMPTY

@@ -146,13 +146,18 @@ def _report(routes: Iterable[Route]) -> Report | None:
 
 
 class RouteReports(Extension):
-    """Exchanges the routes' counts with the peer once a second. Early ones go together, at most ten times a second."""
+    """Exchanges the routes' counts with the peer once a second. Early ones go together, at most ten times a second.
+
+    Attributes:
+        looked_at_there: whether anybody looks at the figures all the time on the other side.
+    """
 
     def __init__(self, link: Link) -> None:
         self.messages = {Report: self._receive, ReportParts: self._receive}
         self._link = link
         self._due: set[Route] = set()
         self._timer: asyncio.TimerHandle | None = None
+        self.looked_at_there = self._told_looked_at = False
 
     def add(self, route: Route) -> None:
         """Report a route within `_EARLY` s. May be called for every batch."""
@@ -202,6 +207,7 @@ class RouteReports(Extension):
 
     def disconnected(self) -> None:
         self._due.clear()
+        self.looked_at_there = self._told_looked_at = False
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
@@ -209,11 +215,24 @@ class RouteReports(Extension):
     def tick(self) -> None:
         if self._link.linked:
             full, path = self._link.fullness.next_record(), self._link.path.next_record()
-            if full is not None or path is not None:
-                self._link.send(Report(full=full, path=path))
+            looked_at = self._news_of_looks()
+            if full is not None or path is not None or looked_at is not None:
+                self._link.send(Report(full=full, path=path, looked_at=looked_at))
             self._report([*self._link.awake])
 
+    def _news_of_looks(self) -> bool | None:
+        """Return whether anybody looks all the time here, or None if the peer knows that."""
+        looked_at = self._link.context.is_looked_at()
+        self._link.is_looked_at = looked_at or self.looked_at_there
+        if looked_at is self._told_looked_at:
+            return None
+        self._told_looked_at = looked_at
+        return looked_at
+
     def _receive(self, report: Report | ReportParts) -> Slices:
+        if report.looked_at is not None:
+            self.looked_at_there = report.looked_at
+            self._link.is_looked_at |= report.looked_at
         if report.full is not None:
             self._link.fullness.take_record(report.full)
         if report.path is not None:

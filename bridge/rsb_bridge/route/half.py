@@ -236,6 +236,12 @@ class Half(Protocol):
             learns: as `Facts.learns`.
         """
 
+    def goes_on(self, now: float) -> bool:
+        """Whether its messages have gone on as before, as far as counts tell. Asked in place of a tick, once a second.
+
+        It follows a tick that has found nothing, and messages have come at their usual rate.
+        """
+
     def is_well(self, now: float) -> bool:
         """Whether `measure` has found nothing that one of its rules would name, as far as `signs` do not tell."""
 

@@ -3,7 +3,9 @@
 The effects of a message, a report, a command or a change of the graph follow within seconds, and nearly all windows
 over which a route is judged are as short. So a route is ticked for a while after each event, for less if these windows
 are empty, and from then on only at the time that its rules name: `next_change`. Each event calls `Route.wake`, messages
-too. Nothing walks over idle routes: to touch hundreds of objects once a second takes longer than the work on a few.
+too. One whose messages go on as before is ticked each fifth second, and each second in between its counts alone tell
+whether they do. Nothing walks over idle routes: to touch hundreds of objects once a second takes longer than the work
+on a few.
 """
 
 from __future__ import annotations
@@ -17,10 +19,13 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 SETTLES = 12.0
-"""s after an event for which a route is ticked: longer than `watches.LATELY`, `topic_flow._LATENCY_TICKS` and
+"""s after an event for which a route is ticked: longer than `watches.LATELY`, `topic_flow._LATENCY_LASTS` and
 `combined_verdict._WAITS`. Longer windows of the rules are in `next_change`."""
 _CALMS = 1.0
 """s after an event for which a route is ticked that is calm: all that follows from it at once has followed."""
+STEADY_FOR = 4.5
+"""s after a tick until the next one of a route whose messages go on as before, while nobody looks on either side: its
+figures are then as old as those for the record (`snapshot_publisher._FIGURES_EVERY`). Ticks may come a little early."""
 POLLED_EVERY = 15.0  # s, at most, between two ticks of a route with something that does not tell when it changes
 _MOST_OUTDATED = 4096  # times of routes that were woken meanwhile, about, until they are looked through
 
@@ -28,19 +33,30 @@ Signs: TypeAlias = tuple[object, ...]
 """What a route's verdict and its figures follow from, messages aside; they are equal while nothing happens."""
 
 
+class GoesOn(Protocol):
+    """What knows whether messages go on as before."""
+
+    def goes_on(self, now: float) -> bool:
+        """Whether they have done so since the last tick, until `now` (s)."""
+
+
 class Idling:
     """Decides when a route is ticked next.
 
     Attributes:
         until: time (s) of the next tick.
+        steady_until: time (s) of the next tick if its messages go on as before until then.
+        goes_on_now: whether it is not ticked in the present second, as they do.
         passed: messages at the last tick.
         signs: of the last tick, the same object as long as they are equal.
     """
 
-    __slots__ = ("_changed_at", "_settles_until", "passed", "signs", "until")
+    __slots__ = ("_changed_at", "_settles_until", "goes_on_now", "passed", "signs", "steady_until", "until")
 
     def __init__(self, now: float) -> None:
         self.until = now
+        self.steady_until = -inf
+        self.goes_on_now = False
         self._settles_until = now + SETTLES
         self.signs: Signs = ()
         self._changed_at = now
@@ -48,11 +64,20 @@ class Idling:
 
     def wake(self, now: float) -> None:
         """Have the route ticked each second again, as something has happened to it."""
-        self.until, self._settles_until = now, now + SETTLES
+        self.until, self._settles_until, self.steady_until, self.goes_on_now = now, now + SETTLES, -inf, False
+
+    def is_steady(self, now: float) -> bool:
+        """Whether counts alone tell if its messages go on as before."""
+        return now < self.steady_until
+
+    def goes_on(self, now: float, meter: GoesOn, half: GoesOn) -> bool:
+        """Whether the route needs no tick at `now` (s), as its messages go on as before. Asked once a second."""
+        self.goes_on_now = now < self.steady_until and meter.goes_on(now) and half.goes_on(now)
+        return self.goes_on_now
 
     def missed(self, signs: Callable[[], Signs], now: float) -> bool:
-        """Whether the signs have changed of a route that is idle, or about to be."""
-        return now < self.until and signs() != self.signs
+        """Whether the signs have changed of a route that is not ticked now, or about not to be."""
+        return (now < self.until or now < self.steady_until) and signs() != self.signs
 
     def lasts(self, signs: Callable[[], Signs], now: float) -> bool:
         """Whether the signs have been the same for so long that all has followed from them."""
@@ -90,6 +115,12 @@ class Tickable(Protocol):
 
     idle: bool
     idling: Idling
+
+    @property
+    def meter(self) -> GoesOn: ...
+
+    @property
+    def half(self) -> GoesOn: ...
 
     def rests(self, now: float) -> bool:
         """Whether it needs no tick at `now` (s)."""
@@ -129,7 +160,7 @@ class Timetable(Generic[TickableT]):
             until, _, route = heappop(times)
             if route.idle and route.idling.until == until:  # else it was woken, or has gone
                 route.rise()
-        for route in [each for each in self.awake if each.rests(now)]:
+        for route in [each for each in self.awake if now < each.idling.until and each.rests(now)]:
             del self.awake[route]
             route.idle = True
             if route.idling.until < inf:
@@ -138,7 +169,7 @@ class Timetable(Generic[TickableT]):
             self._times = [each for each in times if each[2].idle and each[2].idling.until == each[0]]
             heapify(self._times)
         self.looked = now
-        return [*self.awake]
+        return [each for each in self.awake if not each.idling.goes_on(now, each.meter, each.half)]
 
     def remove(self, route: TickableT) -> None:
         """Forget a route that has gone."""

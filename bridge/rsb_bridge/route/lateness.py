@@ -68,12 +68,14 @@ class LateWatch:
         since: s, when they became late, or None if they are not.
         seconds: the delay that is shown.
         usual: s that messages usually take, or None if that is unknown.
+        bound: s that they might take when they were judged last, or 0 for no limit.
     """
 
     def __init__(self) -> None:
         self.since: float | None = None
         self.seconds = 0.0
         self.usual: float | None = None
+        self.bound = 0.0
         self._good: deque[float] = deque()  # delays to learn from
         self._other = 0
         self._first = 0.0
@@ -101,6 +103,7 @@ class LateWatch:
             learns: whether the link and the topic are as usual.
             own: the part of `delay` that this side knows without the other one's clock, which may just have been set.
         """
+        self.bound = bound
         if not bound:
             self.reset()
             return

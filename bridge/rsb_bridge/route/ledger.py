@@ -220,6 +220,16 @@ class RouteLedger:
         counted = self._opening.counted
         return max(counted.newest, counted.whole + counted.expired) if counted else 0
 
+    def setbacks(self, untaken: Mapping[str, int]) -> tuple[int, ...]:
+        """Return figures of which some grow with each message that does not arrive; `untaken` is as of `ledger`."""
+        own = (
+            self.throttled, self.expired, self.unknown, self.again, *self.dropped.values(), untaken[Untaken.LOST],
+        )  # fmt: skip
+        if (counted := self._opening.counted) is None:
+            return own
+        lost = counted.lost(self._opening.overdue) if self.lossy else 0
+        return *own, *counted.dropped.values(), counted.expired, counted.incomplete, counted.plausible, lost
+
     def drop(self, cause: str, count: int) -> None:
         """Count messages dropped here."""
         if count:

@@ -56,6 +56,8 @@ class Peer(Protocol):
     is_client: bool
     budget: PeerBudget
     revisions: Revisions
+    is_looked_at: bool
+    """Whether somebody has looked at the figures of its routes all the time, here or there, in the last second."""
     clock: ClockOffset
     stamps: ClockOffset
     """Offset of the clock by which the peer stamps messages."""

@@ -20,6 +20,7 @@ from rsb_bridge.ros.ros_interface import EndPlace, RosError, TopicSpec
 from rsb_bridge.route.arming import without_history
 from rsb_bridge.route.combined_verdict import lasting, record_of
 from rsb_bridge.route.half import Carried
+from rsb_bridge.route.idling import STEADY_FOR
 from rsb_bridge.route.incoming_path import REPORTS_AFTER, IncomingPath
 from rsb_bridge.route.latched import LatchedFullError
 from rsb_bridge.route.lazy import LazyReceiver
@@ -80,6 +81,9 @@ class Receiver:
         self._resends = 0  # as the last `Publishers` said, for the next process of the sending side
         self.listeners = Listeners(self.flow, self.outputs)
         self.lazy = LazyReceiver(route, self.flow, self.outputs)
+        self._setbacks: tuple[object, ...] = ()  # at the last tick
+        self._missing: tuple[object, ...] = ()  # of a channel's counts, by the last report
+        self._percentiles_due = 0.0  # s, from when on reports have them if nobody looks
         self._received_before = 0
         self._expired_before = 0
         self._alive = False  # a publisher on the sending side, by its liveliness lease
@@ -295,7 +299,7 @@ class Receiver:
         self.flow.silence.rearm(self.flow.flows_since)  # nor is its topic silent
 
     def measure(self, now: float, crossing: Crossing, *, learns: bool) -> None:
-        self.flow.latency.tick()
+        self.flow.latency.tick(now)
         if self.facts.report_now is not None:
             self.route.meter.publishers = self.facts.report_now.publishers
         if self.listeners.further:  # whether other links' messages may come changes without the graph
@@ -306,6 +310,17 @@ class Receiver:
             self.flow.full_at = now
         if self.route.age.only_newest or self.flow.left_out.is_on:
             self.flow.left_out.judge(self.facts.ledger, now)
+
+        self._setbacks = self._present_setbacks()
+
+    def _present_setbacks(self) -> tuple[object, ...]:
+        """Return values of which some change with each message that arrives and is not published, or not whole."""
+        path = self.path
+        return *path.dropped.values(), path.malformed, self._missing
+
+    def goes_on(self, now: float) -> bool:
+        latency = self.flow.latency.newest or 0.0
+        return self._present_setbacks() == self._setbacks and self.flow.goes_on(now, latency)
 
     def configure(self) -> None:
         self.flow.set_stale_after()
@@ -409,7 +424,8 @@ class Receiver:
 
     def _counted(self, counts: SentCounts) -> None:
         """Take the sender's ledger, which is right for both sides."""
-        self.route.wake()
+        if not self.route.idling.is_steady(self.route.context.now()):
+            self.route.wake()
         ledger = reported_ledger(counts, self.route.context.wall())
         if ledger is None:
             self.route.notices.doubt(self.route.peer.instance, "the last plausible ones are shown")
@@ -422,29 +438,35 @@ class Receiver:
         before = self._last_counts
         # Latencies are no news without new messages.
         self._last_counts = (
-            counts.received, counts.delivered, counts.newest, counts.jitter, counts.dropped, counts.expired,
-            counts.incomplete, counts.velocity,
+            counts.received, counts.delivered, counts.newest, counts.dropped, counts.expired, counts.incomplete,
+            counts.velocity,
         )  # fmt: skip
         # While messages are in flight the same counts are sent again: the sender counts as lost what is in no report
         # after some time.
         if self._last_counts != before or (self.facts.ledger.open and self.route.life.phase is RoutePhase.READY):
             news.append(counts)
-        if (report := self._report()) is not None:
+        if not self.route.idling.goes_on_now and (report := self._report()) is not None:
             news.append(report)
         return news
 
     def _counts(self) -> ReceivedCounts:
         counts = self.carried.channel.counts() if self.carried.channel is not None else Counts(newest=None)
-        path, latency = self.path, self.flow.latency
+        self._missing = counts[1:]
+        path, latency, now = self.path, self.flow.latency, self.route.context.now()
+        p50 = p99 = jitter = None
+        # To sort the samples takes a while, and while nobody looks, figures may be as old.
+        if now >= self._percentiles_due or self.route.peer.is_looked_at:
+            self._percentiles_due = now + STEADY_FOR
+            (p50, p99), jitter = latency.percentiles(), latency.jitter
         return ReceivedCounts(
             route=self.route.id,
             received=path.received,
             delivered=path.delivered,
             newest=path.received + counts.lost if counts.newest is None else counts.newest,
             latency=latency.recent,
-            latency_p50=latency.p50,
-            latency_p99=latency.p99,
-            jitter=latency.jitter,
+            latency_p50=p50,
+            latency_p99=p99,
+            jitter=jitter,
             dropped=dict(path.dropped),
             expired=counts.expired,
             incomplete=counts.incomplete,

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from functools import partial
+from math import inf
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Unpack, final
 
 import msgspec
@@ -25,7 +26,7 @@ from rsb_bridge.route.arming import AGREED, Arming, Disarmed, Settling
 from rsb_bridge.route.blocking_rules import LossyPath, judge, stays_fine
 from rsb_bridge.route.combined_verdict import CombinedVerdict
 from rsb_bridge.route.crossing import Crossing
-from rsb_bridge.route.idling import Idling
+from rsb_bridge.route.idling import STEADY_FOR, Idling
 from rsb_bridge.route.lifecycle import Lifecycle, PauseState, Reopening, RouteEvent
 from rsb_bridge.route.notices import ChannelLosses, Notices
 from rsb_bridge.route.peer import Peer
@@ -487,9 +488,11 @@ class Route:
                 self.log(said.level, said.code, said.text, **about)
         passed = self.half.passed
         self.half.act(now, crossing)
+        steady = stays and not self.peer.is_looked_at
         # Last, so that the signs contain all that the tick has changed; else the next one, which comes in a second.
         signs = self.idling.signs if stays and passed != self.idling.passed else self._signs()
         self.idling.ticked(signs, passed, now, lambda: self._next_change(now, crossing), self.is_calm)
+        self.idling.steady_until = min(now + STEADY_FOR, self.judged.next_change) if steady else -inf
         # Of one that rests from now on, the last figures are shown.
         self.only_counts = self.only_counts and self.idling.signs is self._shown_signs and self.idling.until <= now
 

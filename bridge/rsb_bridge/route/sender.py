@@ -74,6 +74,7 @@ class Sender:
         self._last_report: SentReport | None = None
         self._reported: tuple[object, ...] = ()  # the contents of that, which take less time to compare
         self._told: Publishers | None = None  # of the publishers, to the peer
+        self._setbacks: tuple[int, ...] = ()  # at the last tick
         self.counts = RouteLedger()
         self._described: Describe | None = None
         self.loop_filter = LoopFilter(route)
@@ -328,7 +329,7 @@ class Sender:
             flows=flows,
             awaited=awaited,
         )
-        self.flow.latency.tick()
+        self.flow.latency.tick(now)
         if self.carried.may_move or self.route.arming.required:
             self.flow.drivers.tick(now)
             self.flow.drivers.look(self.carried.endpoints, counted=self.subscription.receives)
@@ -338,6 +339,15 @@ class Sender:
             self.flow.full_at = now
         if self.route.age.only_newest or self.flow.left_out.is_on:
             self.flow.left_out.judge(ledger, now)
+        self._setbacks = self.counts.setbacks(self.subscription.numbers.counts)
+
+    def goes_on(self, now: float) -> bool:
+        setbacks = self.counts.setbacks(self.subscription.numbers.counts)
+        if self.path.queue or self.backlog.exists or setbacks != self._setbacks:
+            return False
+        unreported = self.delays.unreported(self.counts.sent_now, self.counts.reported_now, now)
+        delay = max(delay_of_sender(unreported, self.route.peer.keepalive.ping_delay), self.delays.reported or 0.0)
+        return self.flow.goes_on(now, delay)
 
     def is_well(self, now: float) -> bool:
         # Of several publishers, a verdict tells once there is a rhythm.
@@ -357,15 +367,12 @@ class Sender:
         self.flow.act(now, awaited=crossing.flows or self.facts.lacks_publisher(crossing))
         self.subscription.tick(self.carried.endpoints)
         if self.route.age.publishers.since is None and crossing.flows and not self.flow.is_latched:
-            self._tick_clocks()
-
-    def _tick_clocks(self) -> None:
-        """Open the route again if messages seem old since this side's clock was set: their publisher's may lag."""
-        late = self.route.age.late()
-        # Only a new subscription has no message from before it, so that an earlier stamp proves a wrong clock.
-        if late is not None and late.cause is Cause.PUBLISHER_STAMPS_OLD:
-            text = "this side's clock was set, and publishers' stamps seem old"
-            self.route.request_reopen(EventCode.ROUTE_CLOCK_SET, text)
+            # Messages seem old since this side's clock was set: their publisher's may lag. Only a new subscription has
+            # no message from before it, so that an earlier stamp proves a wrong clock.
+            late = self.route.age.late()
+            if late is not None and late.cause is Cause.PUBLISHER_STAMPS_OLD:
+                text = "this side's clock was set, and publishers' stamps seem old"
+                self.route.request_reopen(EventCode.ROUTE_CLOCK_SET, text)
 
     def suspend(self) -> None:
         self.backlog.begin(self.counts.dropped[OUTAGE])
@@ -436,22 +443,26 @@ class Sender:
     def _counted(self, counts: ReceivedCounts) -> None:
         """Take the peer's figures of the present opening."""
         now = self.route.context.now()
-        self.route.wake()
         self.facts.velocity = counts.velocity
         delay = self.delays.with_report(self.route.peer.keepalive.ping_delay)
         if not self.counts.reported(counts, now, delay):
             self.route.notices.doubt(self.route.peer.instance, _LIMITED)
-        if self.counts.received_now:
-            self.route.losses.arrived()
+        if not self.route.idling.is_steady(now):  # else the next look finds out by what was counted here
+            self.route.wake()
+            if self.counts.received_now:
+                self.route.losses.arrived()
         if counts.latency is not None:
             self.delays.receive(counts.latency, now)
-        self.flow.latency.take_reported(counts.latency_p50, counts.latency_p99, counts.jitter)
+        if counts.latency_p50 is not None:
+            self.flow.latency.take_reported(counts.latency_p50, counts.latency_p99, counts.jitter, now)
 
     def receiver_left(self) -> None:
         """Take the peer's last report for final, as it leaves with a goodbye."""
         self.counts.receiver_left()
 
     def news(self) -> Sequence[SentCounts | SentReport]:
+        if self.route.idling.goes_on_now:
+            return ()
         news: list[SentCounts | SentReport] = []
         ledger = self.facts.ledger
         counts = SentCounts(

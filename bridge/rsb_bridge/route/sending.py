@@ -240,6 +240,7 @@ class Outbox:
     Attributes:
         largest: bytes of the longest message that the transport carries.
         leaving: asked of messages right before the channel gets them.
+        queue: the messages that wait.
     """
 
     def __init__(self, flow: TopicFlow, ledger: RouteLedger, backlog: Backlog) -> None:
@@ -250,7 +251,7 @@ class Outbox:
         self._ledger = ledger
         self._backlog = backlog
         self.largest = route.transport.largest_message
-        self._queue = SendQueue(route.peer.budget.waiting)
+        self.queue = SendQueue(route.peer.budget.waiting)
         self._keep: Keep | None = None
         self._overload = Overload()
         self._limits = QueueLimits(0, 0.0, 0)  # by which messages were last added
@@ -260,17 +261,17 @@ class Outbox:
         route, budget = self._route, self._route.peer.budget
         keep = self._keep = promised_keep(route)
         if keep is None:
-            self._queue.charge(budget.waiting)
+            self.queue.charge(budget.waiting)
         # A peer alone must not have this side keep more than the links' topics share.
         elif keep.own_bytes is not None and (route.proposed_here or route.listed):
-            self._queue.charge(Budget(keep.own_bytes))
+            self.queue.charge(Budget(keep.own_bytes))
         else:
-            self._queue.charge(budget.keep)
+            self.queue.charge(budget.keep)
 
     def pass_on(self, messages: Sequence[Message], size: int, channel: SendingChannel) -> bool:
         """Send messages of `size` bytes together past the empty queue, or return False: they have to wait in it."""
         # Only if nothing waits, or it would overtake that; and no more than one turn of the scheduler.
-        if self._queue.waiting or len(messages) > _BATCH or not channel.takes(size):
+        if self.queue.waiting or len(messages) > _BATCH or not channel.takes(size):
             return False
         if self.leaving is not None:
             messages = self.leaving(messages)
@@ -281,7 +282,7 @@ class Outbox:
 
     def add(self, messages: Sequence[Message], now: float, publisher: bytes, limits: QueueLimits) -> None:
         """Have messages of one publisher wait, at `now` (s), within the limits."""
-        self._queue.add(messages, now, publisher)
+        self.queue.add(messages, now, publisher)
         self._limits = limits
         self._trim(now, publisher)
 
@@ -295,8 +296,8 @@ class Outbox:
         """
         limits = self.limits(channel, depth, now)
         # What comes at once has not waited: of several commands none is left out while the channel takes them.
-        if self._route.age.only_newest and not self._queue.waiting:
-            self._queue.add(messages, now, publisher)
+        if self._route.age.only_newest and not self.queue.waiting:
+            self.queue.add(messages, now, publisher)
             self.flush(channel, now)
             messages = ()
         self.add(messages, now, publisher, limits)
@@ -305,11 +306,11 @@ class Outbox:
     def resume(self, now: float) -> None:
         """Drop kept messages that have grown too old by `now` (s), also of silent publishers."""
         if self._keep is not None:
-            for publisher in self._queue.publishers:
+            for publisher in self.queue.publishers:
                 self._trim(now, publisher)
 
     def _trim(self, now: float, publisher: bytes) -> None:
-        old, beyond = self._queue.trim(self._limits, now, publisher)
+        old, beyond = self.queue.trim(self._limits, now, publisher)
         if not (old or beyond):
             return
         if self._keep is not None:
@@ -332,7 +333,7 @@ class Outbox:
 
     def flush(self, channel: SendingChannel, now: float) -> None:
         """Send while the channel takes messages, at `now` (s)."""
-        queue = self._queue
+        queue = self.queue
         if self._limits.older_than < math.inf:
             self._trim(now, b"")  # its publisher may be silent since
         while queue.waiting and not channel.congested:
@@ -349,17 +350,17 @@ class Outbox:
             self._overload.reset()
 
     def __len__(self) -> int:
-        return len(self._queue)
+        return len(self.queue)
 
     def waits(self, now: float) -> float:
         """Return how long (s) the oldest message has waited at `now` (s), or 0 if none waits."""
-        oldest = self._queue.oldest_since
+        oldest = self.queue.oldest_since
         return 0.0 if oldest is None else now - oldest
 
     def clear(self) -> int:
         """Remove all messages; return how many they were."""
         self._overload.reset()
-        return self._queue.clear()
+        return self.queue.clear()
 
     def limits(self, channel: SendingChannel, depth: int, now: float) -> QueueLimits:
         """Return the queue's limits at `now` (s). While the channel takes messages, only the age of best effort counts.
@@ -370,17 +371,17 @@ class Outbox:
         route, size = self._route, QUEUE_BYTES + self.largest
         if not route.peer.linked:
             # All topics of a link that is away may wait for minutes, and share one limit.
-            size = min(size, self._queue.room())
+            size = min(size, self.queue.room())
         # A command is a state: after a stall, a robot would follow all the old ones before the present one.
         if route.age.only_newest or (
             route.arming.required and self._flow.end.of(self._carried.type_name) not in ("", END_NONE)
         ):
             return QueueLimits(1, 0.0, size)
-        self._overload.judge(now, self._queue.oldest_since, len(self._queue), channel.still(now))
+        self._overload.judge(now, self.queue.oldest_since, len(self.queue), channel.still(now))
         qos, profile = self._flow.qos, route.peer.profile
         if self._keep is not None:
             number = 0 if qos is None or qos.history == "keep_all" else max(depth, qos.depth or AUTO_DEPTH)
-            return QueueLimits(number, self._keep.seconds, self._queue.room())
+            return QueueLimits(number, self._keep.seconds, self.queue.room())
         best_effort = qos is not None and qos.reliability == "best_effort"
         if best_effort:
             size = profile.queue_bytes or (_SLOW_QUEUE_BYTES if route.transport.slow else size)
@@ -463,6 +464,8 @@ class OutgoingPath:
         unpause: sends the latched messages that have become due while the route was paused.
         histories: of a latched topic's publishers in the present opening, or None for a volatile topic.
         gates: all that are on.
+        queue: the messages that wait for the channel.
+        queue: the messages that wait for the channel.
     """
 
     def __init__(self, flow: TopicFlow, ledger: RouteLedger, loop_filter: LoopFilter, backlog: Backlog) -> None:
@@ -477,6 +480,7 @@ class OutgoingPath:
         self.unpause = self._latest_later.resume
         self._last_later = LastLater(context.loop, self._throttle, self._pass_last)
         self._outbox = Outbox(flow, ledger, backlog)
+        self.queue = self._outbox.queue.waiting
         self._compressor = zstandard.ZstdCompressor(_ZSTD_LEVEL) if route.proposal.compression == "zstd" else None
         compose_when_switched(route, self.compose)
 

@@ -146,13 +146,14 @@ class TopicFacts(Facts, ABC):
     def snapshot_of(self, common: partial[RouteSnapshot]) -> RouteSnapshot:
         flow = self.flow
         nodes, publisher_qos, subscriber_qos = self.ends()
+        p50, p99 = flow.latency.percentiles()
         return common(
             qos=flow.qos,
             publisher_qos=publisher_qos,
             subscriber_qos=subscriber_qos,
             ledger=self.ledger,
-            latency_p50=flow.latency.p50,
-            latency_p99=flow.latency.p99,
+            latency_p50=p50,
+            latency_p99=p99,
             jitter=flow.latency.jitter,
             publishers=nodes,
             subscribers=flow.audience.subscribers,

@@ -48,7 +48,7 @@ _EXPLAINS = frozenset(
     }
 )
 """Causes of silence. Others are silence itself, in other words, or go with messages."""
-_LATENCY_TICKS = 10  # seconds of messages that the shown latency is of: so many samples would take minutes at low rates
+_LATENCY_LASTS = 10.0  # s of messages that the shown latency is of: so many samples would take minutes at low rates
 MEASURED_FOR = 6.0  # s of lateness or loss after which a full link has been noticed
 _DRAINS_FOR = 60.0  # s for which messages may be late or lost because their link was full: a round figure
 _SILENT = State.STALE, State.STOPPED
@@ -211,7 +211,7 @@ class TopicFlow:
         self.end = AgreedEnd(route)
         self.drivers = Drivers(route, carried)
         route.rested.append(self.drivers.rested)
-        self.latency = LatencyMeter(_LATENCY_TICKS)
+        self.latency = LatencyMeter(_LATENCY_LASTS)
         self.silence = SilenceWatch(self.route.log, context.now())
         self.lateness = LateWatch()
         self.left_out = LeftOut(route)
@@ -315,6 +315,20 @@ class TopicFlow:
         """Whether its messages are neither late nor missing."""
         late = self.lateness.since is not None or self.route.age.late() is not None
         return not late and not self.silence.watch.stale(now) and not self.route.notices.undelivered
+
+    def goes_on(self, now: float, delay: float) -> bool:
+        """Whether no message is late or missing, and none may move a robot or become too old, as far as counts tell.
+
+        Args:
+            delay: s that messages take now.
+        """
+        route, peer, bound, watch = self.route, self.route.peer, self.lateness.bound, self.silence.watch
+        return bool(
+            (not bound or delay <= bound)
+            and (not watch.after or now - watch.quiet_since < watch.after)
+            and not (self.carried.may_move or route.arming.required or route.age.is_on or self.left_out.is_on)
+            and peer.path.fault is None and peer.fullness.out is None and peer.fullness.into is None
+        )  # fmt: skip
 
     def is_calm(self, now: float) -> bool:
         """Whether no message of the last seconds counts any more, and no operator has looked at them."""

@@ -31,6 +31,7 @@ _QUIET_PERIODS, _QUIET = 5.0, 3.0  # periods, and s, without a message after whi
 _LATENCIES = 512  # samples that percentiles are taken of: the 99th rests on the five largest
 _EARLIEST, _LATEST = -1.0, 3600.0  # s, with the error of comparing clocks; on a slow radio, messages wait for minutes
 _LARGEST_FIGURE = 1e9  # s; a peer may report any number, and screens and JSON show it
+_NO_FIGURES = None, None
 
 # Of clocks.
 _PINGS = 16  # exchanges, one a second: the shortest is hardly held up, and a clock that drifts is followed
@@ -136,6 +137,14 @@ class RateMeter:
         if messages or self.rate:
             self.rate = self._rate()
 
+    def goes_on(self, now: float) -> bool:
+        """Whether messages have come at their usual rate since the last tick, until `now` (s)."""
+        usual, last = self._usual.rate, self.last
+        if usual is None or last is None or now - last > max(1.0, 2 / usual):
+            return False
+        due = usual * (now - self._ticked)
+        return abs(self.count - self._at_tick - due) <= _CHANGED * due + 1  # one more may be about to come
+
     @property
     def still(self) -> bool:
         """Whether both rates are 0, as they are while nothing comes."""
@@ -196,29 +205,27 @@ class LatencyMeter:
     """One-way latency of a route and its jitter (RFC 3550 section 6.4.1), in seconds.
 
     Args:
-        ticks: for which a sample counts, or 0 if it counts until enough others have come.
+        lasts: s for which a sample counts, or 0 if it counts until enough others have come.
 
     Attributes:
-        p50: of the last samples, or None without a figure.
-        p99: of the last samples, or None without a figure.
+        newest: the last sample, or None without one.
         jitter: or None without a figure.
         recent: median of the samples between the last two ticks, or None without one.
     """
 
     __slots__ = (
-        "_counts", "_fresh", "_reported_for", "_samples", "_ticks", "_transit", "jitter", "p50", "p99", "recent",
+        "_counts", "_fresh", "_lasts", "_reported", "_reported_until", "_samples", "jitter", "newest", "recent",
     )  # fmt: skip
 
-    def __init__(self, ticks: int = 0) -> None:
+    def __init__(self, lasts: float = 0.0) -> None:
         self._samples: deque[float] = deque(maxlen=_LATENCIES)
-        self._ticks = ticks
-        self._counts: deque[int] = deque()  # samples in each of the last ticks
-        self._transit: float | None = None
+        self._lasts = lasts
+        self._counts: deque[tuple[float, int]] = deque()  # the last ticks (s), and samples in each
         self._fresh = 0  # samples since the last tick
-        self._reported_for = 0  # ticks for which the other side's figures still count
+        self._reported: tuple[float | None, float | None] = _NO_FIGURES  # by the other side
+        self._reported_until = 0.0  # s
+        self.newest: float | None = None
         self.recent: float | None = None
-        self.p50: float | None = None
-        self.p99: float | None = None
         self.jitter: float | None = None
 
     def add(self, transit: float) -> None:
@@ -229,57 +236,49 @@ class LatencyMeter:
         if not _EARLIEST < transit <= _LATEST:
             self._samples.clear()
             self._counts.clear()
-            self._transit = self.p50 = self.p99 = self.jitter = None
+            self.newest = self.jitter = None
             self._fresh = 0
             return
-        if self._transit is not None:
+        if self.newest is not None:
             jitter = self.jitter or 0.0
-            self.jitter = jitter + (abs(transit - self._transit) - jitter) / 16
-        self._transit = transit
+            self.jitter = jitter + (abs(transit - self.newest) - jitter) / 16
+        self.newest = transit
         self._samples.append(transit)
         self._fresh += 1
 
-    def take_reported(self, p50: float | None, p99: float | None, jitter: float | None) -> None:
-        """Take the figures of the other side, as far as they can be right. They, too, count for `ticks`."""
-        self._reported_for = self._ticks
-        self.p50, self.p99, self.jitter = _possible(p50), _possible(p99), _possible(jitter)
+    def take_reported(self, p50: float | None, p99: float | None, jitter: float | None, now: float) -> None:
+        """Take the figures of the other side, as far as they can be right. They, too, count for a while."""
+        self._reported, self._reported_until = (_possible(p50), _possible(p99)), now + self._lasts
+        self.jitter = _possible(jitter)
 
-    def tick(self) -> None:
-        """Work out the percentiles over the last samples."""
-        if self._reported_for:
-            self._reported_for -= 1
-            if not self._reported_for:
-                self.p50 = self.p99 = None
+    def tick(self, now: float) -> None:
+        """Drop the samples and the reported figures that no longer count at `now` (s)."""
+        if now >= self._reported_until:
+            self._reported = _NO_FIGURES
         fresh, self._fresh, self.recent = self._fresh, 0, None
-        if not (fresh or self._counts):
-            return
-        outdated = self._drop_outdated(fresh)
         if fresh:
             newest = sorted([*self._samples][-fresh:])
             self.recent = newest[len(newest) // 2]
-        if outdated and not self._samples:
-            self.p50 = self.p99 = None
-        elif fresh or outdated:
-            ordered = sorted(self._samples)
-            self.p50 = ordered[len(ordered) // 2]
-            self.p99 = ordered[min(len(ordered) - 1, len(ordered) * 99 // 100)]
+        counts, samples = self._counts, self._samples
+        if self._lasts and (fresh or counts):
+            counts.append((now, fresh))
+            while now - counts[0][0] >= self._lasts:
+                counts.popleft()
+            count = sum([each for _, each in counts])
+            while len(samples) > count:
+                samples.popleft()
+
+    def percentiles(self) -> tuple[float | None, float | None]:
+        """Return the 50th and the 99th over the samples that count, or those of the other side; sorted each time."""
+        if not self._samples:
+            return self._reported
+        ordered = sorted(self._samples)
+        return ordered[len(ordered) // 2], ordered[min(len(ordered) - 1, len(ordered) * 99 // 100)]
 
     @property
     def is_blank(self) -> bool:
         """Whether there are no samples, and the other side's figures no longer count."""
-        return not (self._samples or self._reported_for)
-
-    def _drop_outdated(self, fresh: int) -> bool:
-        """Drop the samples that no longer count, and return whether there were any."""
-        if not self._ticks:
-            return False
-        self._counts.append(fresh)
-        if len(self._counts) > self._ticks:
-            self._counts.popleft()
-        before, count = len(self._samples), sum(self._counts)
-        while len(self._samples) > count:
-            self._samples.popleft()
-        return len(self._samples) < before
+        return not self._samples and self._reported == _NO_FIGURES
 
 
 def _possible(figure: float | None) -> float | None:

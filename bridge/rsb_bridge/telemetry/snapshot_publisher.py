@@ -151,6 +151,11 @@ class SnapshotPublisher:
         hangs = out_of_reach(latest, reason, since=latest.time, now=latest.time + silent)
         return dataclasses.replace(hangs, running=True)
 
+    @property
+    def is_looked_at(self) -> bool:
+        """Whether somebody goes on looking; may be asked on any thread."""
+        return self._clock.steady() - self._looked_again_at <= _LOOKED_AT_FOR
+
     def looked_at(self, now: float) -> bool:
         """Whether somebody looks more often than once a second, as far as the calls of this show.
 
@@ -198,7 +203,7 @@ class SnapshotPublisher:
         # In this order: a look that is not among the waiting ones is seen by the next line.
         waiting, self._waiting = self._waiting, []
         self._refreshes += 1
-        looked_at = bool(waiting) or self._clock.steady() - self._looked_again_at <= _LOOKED_AT_FOR
+        looked_at = bool(waiting) or self.is_looked_at
         links = bridge.links()
         self._notice_clock()
         if looked_at:

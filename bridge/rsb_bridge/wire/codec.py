@@ -58,6 +58,7 @@ class ReportParts(ConnectionMessage, frozen=True, tag="report"):
     received_counts: _Entries = ()
     full: FullRecord | None = None
     path: PathRecord | None = None
+    looked_at: bool | None = None
 
 
 _encoder = msgspec.msgpack.Encoder()

@@ -269,6 +269,7 @@ class Report(ConnectionMessage, frozen=True):
     received_counts: tuple[ReceivedCounts, ...] = ()  # of the routes that it receives on
     full: FullRecord | None = None  # the rates of a full link in the direction of the message, or None if unchanged
     path: PathRecord | None = None  # what the path loses in the direction of the message, or None if unchanged
+    looked_at: bool | None = None  # whether anybody looks at the figures all the time, or None if unchanged
 
 
 class Duplicate(ConnectionMessage, frozen=True):

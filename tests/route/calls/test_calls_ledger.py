@@ -28,11 +28,11 @@ def test_time_in_node_and_on_way_are_whole() -> None:
     ledger = CallsLedger()
     ledger.timed(0.25, 1.0)
     ledger.tick()
-    assert (ledger.node.p50, ledger.way.p50) == (0.25, 0.75)
+    assert (ledger.node.percentiles()[0], ledger.way.percentiles()[0]) == (0.25, 0.75)
 
 
 def test_the_providing_side_measures_its_node_alone() -> None:
     ledger = CallsLedger()
     ledger.timed(0.25)
     ledger.tick()
-    assert (ledger.node.p50, ledger.way.p50) == (0.25, None)
+    assert (ledger.node.percentiles()[0], ledger.way.percentiles()[0]) == (0.25, None)

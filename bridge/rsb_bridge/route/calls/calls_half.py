@@ -133,6 +133,9 @@ class CallsHalf:
         malformed = self.facts.last_malformed()
         return self.flow.report, end.unavailable(), end.warning, end.offered, malformed, end.nodes()
 
+    def goes_on(self, _: float) -> bool:
+        return False
+
     def is_calm(self, now: float) -> bool:
         return False
 

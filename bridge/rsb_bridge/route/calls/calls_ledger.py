@@ -97,8 +97,6 @@ class CallsLedger:
                 self.node.add(min(took, total))
                 self.way.add(max(0.0, total - took))
         self._timed.clear()
-        self.node.tick()
-        self.way.tick()
         answered, expired = self._before
         if self.answered > answered:
             self.unanswered = False
@@ -141,6 +139,7 @@ class CallsLedger:
         Args:
             waiting: calls that wait until their node has read earlier ones.
         """
+        node, way = self.node.percentiles(), self.way.percentiles()
         return CallsSnapshot(
             asked=self.asked,
             answered=self.answered,
@@ -150,10 +149,10 @@ class CallsLedger:
             in_flight=self.in_flight,
             waiting=waiting,
             late=self.late,
-            node_p50=self.node.p50,
-            node_p99=self.node.p99,
-            way_p50=self.way.p50,
-            way_p99=self.way.p99,
+            node_p50=node[0],
+            node_p99=node[1],
+            way_p50=way[0],
+            way_p99=way[1],
             last_failure=self.last_failure,
         )
 
