@@ -92,7 +92,7 @@ class Terminal:
         """Read until `words` have been written, beyond the first `after` bytes, in any look if they name none."""
         deadline = time.monotonic() + seconds
         while words.encode() not in _LOOKS.sub(b"" if "\x1b" not in words else rb"\g<0>", self.output[after:]):
-            assert time.monotonic() < deadline, f"no {words!r} within {seconds} s:\n{self.output[-400:]!r}"
+            assert time.monotonic() < deadline, f"no {words!r} within {seconds} s:\n{self.output[after:][-4000:]!r}"
             self.read(0.05)
 
     def hang_up(self) -> None:

@@ -89,6 +89,10 @@ class Stranger:
                 for tag in (b"", TAG):
                     self.put(each, Header(kind, newest.rank, number(known), tag), payload)
 
+    def wait_until_heard(self) -> None:
+        """Wait until the router knows what was declared: it answers a later question."""
+        list(self.session.liveliness().get(f"{self.root}/here/**"))
+
     def close(self) -> None:
         """Leave the network."""
         self.session.close()  # type: ignore[no-untyped-call]
@@ -182,6 +186,8 @@ def main() -> None:
         ended.set()
 
     threading.Thread(target=wait_for_end, daemon=True).start()
+    ATTACKS[attack](stranger)
+    stranger.wait_until_heard()
     sys.stdout.write("up\n")
     sys.stdout.flush()
     due = time.monotonic()
