@@ -91,4 +91,4 @@ def add_review(add: AddCommand, complete: Complete) -> None:
     parser.add_argument("--at", type=within(0, 1e9), metavar="SECONDS", help=place)
     parser.add_argument("--ascii", action="store_true", help="draw with ASCII characters")
     parser.add_argument("--no-mouse", action="store_true", help="leave the mouse to the terminal")
-    parser.add_argument("--theme", metavar="NAME", help="theme to start with")
+    complete(parser.add_argument("--theme", metavar="NAME", help="theme to start with"), "theme_names")

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from rsb_bridge.feature_api import Publisher
     from rsb_bridge.ros.node import RosNode
     from rsb_extras.playing.play_keys import PlayKeys
-    from rsb_extras.playing.played_topics import Publishers
+    from rsb_extras.playing.played_topics import PlayedPublishers
     from rsb_extras.recording.reading.open_recording import OpenRecording
     from rsb_extras.recording.reading.stored_message import StoredMessage
 
@@ -98,7 +98,7 @@ class Player:
         self,
         recording: OpenRecording,
         node: RosNode,
-        publishers: Publishers,
+        publishers: PlayedPublishers,
         span: PlaySpan,
         *,
         is_paused: bool,
