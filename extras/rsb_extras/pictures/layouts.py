@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from rsb_console.feature_console import Console
 
 RATES, LOG = "rates", "log"
+RECORDING = "recording"
+"""The first of two topics of a subject that is no tile: the second one is the path of a recording."""
 """Tiles that show no topic's messages, by the names that layouts have for them."""
 _Name = Annotated[str, Meta(min_length=1, max_length=255)]
 

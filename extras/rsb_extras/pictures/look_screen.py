@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 from typing import TYPE_CHECKING
 
 from textual import on, work
@@ -11,9 +12,10 @@ from textual.widgets import Input
 from rsb_bridge.feature_api import EngineError, State, escape_text, other_side
 from rsb_console.feature_console import Suggestion
 from rsb_extras.pictures.drawing import has_picture, is_layer, is_map
-from rsb_extras.pictures.layouts import LOG, RATES, Subject, layouts_for
+from rsb_extras.pictures.layouts import LOG, RATES, RECORDING, Subject, layouts_for
 from rsb_extras.pictures.picture import Wish
 from rsb_extras.pictures.search_screen import SearchScreen
+from rsb_extras.playing.recordings_here import recordings_here
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -34,7 +36,7 @@ _ASKED_EVERY = 3.0
 
 
 class LookScreen(SearchScreen[tuple[Subject, ...]]):
-    """Lists layouts, the topics of all sides, of which those with a picture come first, and tiles without a topic."""
+    """Lists layouts, the topics of all sides, those with a picture first, tiles without a topic, and recordings."""
 
     def __init__(self, console: Console) -> None:
         super().__init__("Look at a topic", _KEYS, Input(id="look-search"))
@@ -43,6 +45,7 @@ class LookScreen(SearchScreen[tuple[Subject, ...]]):
         self._subjects: dict[str, tuple[Subject, ...]] = {}
         self._problems: list[str] = []
         self._asking = True
+        self._recordings = recordings_here(os.environ)
 
     def on_mount(self) -> None:
         self.relist()
@@ -90,6 +93,8 @@ class LookScreen(SearchScreen[tuple[Subject, ...]]):
         yield from self._topics(found)
         yield self._other(RATES, "of all bridged topics", Subject((RATES,)))
         yield self._other(LOG, "of this bridge", Subject((LOG,)))
+        for path in self._recordings:
+            yield self._other(f"{RECORDING} {escape_text(path.name)}", "", Subject((RECORDING, str(path))))
 
     def _overview(self, side: str) -> tuple[Subject, ...]:
         """Return tiles of a side's camera, map and speed, and of the rates; none if it has only one of these."""

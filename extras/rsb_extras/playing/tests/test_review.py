@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import shutil
 import struct
 from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.console.driving import shown, text
+from tests.console.driving import WIDE, notified, on_main, shown, text
 from tests.support.waiting import eventually
 from tests.support.wording import says
 
@@ -20,6 +21,7 @@ from rsb_extras.playing.review_command import NoReview
 from rsb_extras.playing.review_screen import ReviewScreen, ReviewText
 from rsb_extras.playing.tests.recorded import BEGIN, ODD, ODD_TYPE, Recorded, odd, string
 from rsb_extras.recording.reading.open_recording import OpenRecording
+from rsb_extras.recording.reading.stored_message import UnreadableRecording
 
 IMAGE = """\
 std_msgs/Header header
@@ -162,6 +164,37 @@ def test_time_before_the_first_message_says_so(path: Path, tmp_path: Path) -> No
         await shown(pilot, "sensor_msgs/msg/Image")
 
     asyncio.run(_show(path, tmp_path, use, "/camera", 0.0))
+
+
+@on_main(WIDE)
+async def test_look_lists_recordings_of_this_machine(
+    app: Any, pilot: Any, path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`V` opens one; esc leads back."""
+    monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path / "state"))
+    folder = tmp_path / "state" / "recordings"
+    folder.mkdir(parents=True)
+    shutil.copy(path, folder / "stretch.mcap")
+    (folder / ".stretch.fetch").mkdir()
+    await pilot.press("V", *"recording")
+    await shown(pilot, "recording stretch.mcap")
+    assert ".fetch" not in text(app)
+    await pilot.press("enter")
+    await shown(pilot, "/ 19.2 s")
+    await shown(pilot, "/camera  2  sensor_msgs/msg/Image")
+    await pilot.press("escape")
+    await shown(pilot, "/robot2/scan")
+
+
+@on_main(WIDE)
+async def test_recording_that_cannot_be_read_is_told(
+    app: Any, pilot: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))
+    (tmp_path / "recordings").mkdir()
+    (tmp_path / "recordings" / "odd.mcap").write_text("text" * 20)
+    await pilot.press("V", *"recording", "enter")
+    await notified(pilot, UnreadableRecording.NO_RECORDING)
 
 
 # --- the command
