@@ -170,7 +170,7 @@ def test_no_argument_is_left_out() -> None:
         "N", "HZ", "BYTES", "SECONDS", "SPAN", "YAML", "VALUE", "PATTERN", "ADDRESS", "N,...", "A,B", "NAME,...",
         "DEGREES", "FRAME", "TEXT",
     }  # fmt: skip
-    own = {"audit --pair", "import --name", "import --port", "client add NAME", "pub --type"}
+    own = {"audit --pair", "import --name", "import --port", "client add NAME", "pub --type", "review TOPIC"}
 
     def missing(parser: argparse.ArgumentParser, name: str) -> Iterator[str]:
         for word, each in subcommands_of(parser).items():

@@ -141,6 +141,8 @@ def test_it_is_taken(line: Line, capsys: pytest.CaptureFixture[str]) -> None:
 _OF_BENCH = "../extras/rsb_extras/bench/tests/test_command.py"
 _OF_DEMO = "../extras/rsb_extras/demo/tests/test_demo.py"
 _OF_FLEET = "../extras/rsb_extras/fleet/tests/test_demo_fleet.py"
+_OF_PLAY = "../extras/rsb_extras/playing/tests/test_playing.py"
+_OF_REVIEW = "../extras/rsb_extras/playing/tests/test_review.py"
 _ELSEWHERE = {
     "bench": (_OF_BENCH, "test_ctrl_c_prints_results_and_leaves_no_process"),
     "bench --quick": (_OF_BENCH, "test_a_short_run_on_this_machine"),
@@ -154,6 +156,11 @@ _ELSEWHERE = {
         _OF_FLEET, "test_each_engine_is_linked_and_has_a_line"
     ),
     "mcp": ("../extras/rsb_extras/mcp_server/tests/test_mcp.py", "test_each_reading_tool_answers"),
+    "play bag --domain 5": (_OF_PLAY, "test_all_messages_arrive_as_recorded"),
+    "play bag --domain 5 --topics '/camera/**' /tf --rate 0.5": (_OF_PLAY, "test_times_between_messages_are_kept"),
+    "play bag --domain 5 --from 60 --to 90 --loop --clock": (_OF_PLAY, "test_part_and_topics_are_chosen"),
+    "review bag": (_OF_REVIEW, "test_screen_lists_topics_and_shows_one"),
+    "review stretch.mcap /camera/image_raw --at 42.5": (_OF_REVIEW, "test_it_leaves_the_terminal_as_it_was"),
     "run robot1.yaml --no-ui": (
         "command/test_remote.py", "test_headless_bridge_is_attached_to_changed_and_stopped"
     ),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 from typing import TYPE_CHECKING
 
 from textual import on, work
@@ -11,10 +12,11 @@ from textual.widgets import Input
 from rsb_bridge.feature_api import EngineError, State, escape_text, other_side
 from rsb_console.feature_console import Suggestion, added_tiles
 from rsb_extras.pictures.drawing import has_picture, is_layer, is_map
-from rsb_extras.pictures.layouts import Subject, layouts_for
+from rsb_extras.pictures.layouts import RECORDING, Subject, layouts_for
 from rsb_extras.pictures.own_tiles import RatesLines
 from rsb_extras.pictures.picture import Wish
 from rsb_extras.pictures.search_screen import SearchScreen
+from rsb_extras.playing.recordings_here import recordings_here
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -35,7 +37,7 @@ _ASKED_EVERY = 3.0
 
 
 class LookScreen(SearchScreen[tuple[Subject, ...]]):
-    """Lists layouts, the topics of all sides, of which those with a picture come first, and tiles without a topic."""
+    """Lists layouts, the topics of all sides, those with a picture first, tiles without a topic, and recordings."""
 
     def __init__(self, console: Console) -> None:
         super().__init__("Look at a topic", _KEYS, Input(id="look-search"))
@@ -44,6 +46,7 @@ class LookScreen(SearchScreen[tuple[Subject, ...]]):
         self._subjects: dict[str, tuple[Subject, ...]] = {}
         self._problems: list[str] = []
         self._asking = True
+        self._recordings = recordings_here(os.environ)
 
     def on_mount(self) -> None:
         self.relist()
@@ -91,6 +94,8 @@ class LookScreen(SearchScreen[tuple[Subject, ...]]):
         yield from self._topics(found)
         for tile in added_tiles().values():
             yield self._other(tile.name, tile.about, Subject((tile.name,)))
+        for path in self._recordings:
+            yield self._other(f"{RECORDING} {escape_text(path.name)}", "", Subject((RECORDING, str(path))))
 
     def _overview(self, side: str) -> tuple[Subject, ...]:
         """Return tiles of a side's camera, map and speed, and of the rates; none if it has only one of these."""

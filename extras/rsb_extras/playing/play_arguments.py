@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -45,27 +46,40 @@ exit codes:
   2  wrong usage, no terminal, or a file that cannot be read"""
 
 
+_CLOCK_RATE = 40.0  # Hz, as `ros2 bag play` has it
+
+
 def add_play(add: AddCommand, complete: Complete) -> None:
     run = subcommand("rsb_extras.playing.play_command:play")
     parser = add("play", run, "publish the messages of a recording in a ROS domain", _PLAY, after="audit")
     complete(parser.add_argument("file", type=Path, metavar="FILE", help="the recording"), "files")
-    domains, domain = range(int(DOMAIN.high) + 1), "ROS domain to publish in"
-    parser.add_argument("--domain", type=int, choices=domains, required=True, metavar="N", help=domain)
+    parser.add_argument("--domain", type=domain_id, required=True, metavar="N", help="ROS domain to publish in")
     only = "play only these topics"
     parser.add_argument("--topics", type=pattern, nargs="+", default=[], metavar="PATTERN", help=only)
     speed = "how many times as fast as it was recorded (%(default)g)"
-    parser.add_argument("--rate", type=within(0.01, 1000), default=1.0, metavar="R", help=speed)
+    parser.add_argument("--rate", type=within(0.01, 1000), default=1.0, metavar="N", help=speed)
     for name, until in (("from", "play from there on, in seconds from its begin"), ("to", "play up to there")):
         parser.add_argument(f"--{name}", dest=f"at_{name}", type=within(0, 1e9), metavar="SECONDS", help=until)
     parser.add_argument("--loop", action="store_true", help="begin again at the end")
-    clock = "publish the recording's time on /clock, HZ times a second (%(const)g)"
-    parser.add_argument("--clock", type=within(1, 1000), nargs="?", const=40.0, metavar="HZ", help=clock)
+    clock = "publish the recording's time on /clock, HZ times a second (40)"
+    parser.add_argument("--clock", type=within(1, 1000), nargs="?", const=_CLOCK_RATE, metavar="HZ", help=clock)
     settle = "time for nodes to find the publishers, before the first message (%(default)g)"
     parser.add_argument("--delay", type=within(0, 3600), default=1.0, metavar="SECONDS", help=settle)
     parser.add_argument("--paused", action="store_true", help="wait for a space before the first message")
     arm = "play also what may move a robot; asks first, at a terminal"
     parser.add_argument("--arm", action="store_true", help=arm)
     parser.add_argument("--json", action="store_true", help="print the result as JSON, for programs")
+
+
+def domain_id(text: str) -> int:
+    """Parse the id of a ROS domain.
+
+    Raises:
+        argparse.ArgumentTypeError: it is none.
+    """
+    if text.isascii() and text.isdigit() and (found := int(text[:4])) in DOMAIN:
+        return found
+    raise argparse.ArgumentTypeError(f"{text!r} is not a ROS domain: {DOMAIN}")
 
 
 def add_review(add: AddCommand, complete: Complete) -> None:
@@ -77,4 +91,4 @@ def add_review(add: AddCommand, complete: Complete) -> None:
     parser.add_argument("--at", type=within(0, 1e9), metavar="SECONDS", help=place)
     parser.add_argument("--ascii", action="store_true", help="draw with ASCII characters")
     parser.add_argument("--no-mouse", action="store_true", help="leave the mouse to the terminal")
-    parser.add_argument("--theme", metavar="NAME", help="theme to start with")
+    complete(parser.add_argument("--theme", metavar="NAME", help="theme to start with"), "theme_names")

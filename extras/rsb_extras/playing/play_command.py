@@ -10,7 +10,7 @@ from rsb_bridge.feature_api import EngineError, RosError, escape_text, join_firs
 from rsb_bridge.ros.node import RosNode
 from rsb_console.feature_console import FAILURE, INTERRUPTED, OK, UsageError, agreed, json_line, print_error, print_line
 from rsb_extras.playing.play_keys import play_keys
-from rsb_extras.playing.played_topics import PlayText, Publishers, check_number, choose
+from rsb_extras.playing.played_topics import PlayedPublishers, PlayText, check_number, choose
 from rsb_extras.playing.player import SECOND, Player, PlaySpan
 from rsb_extras.recording.reading.open_recording import OpenRecording
 from rsb_extras.recording.reading.stored_message import RecordingError, UnreadableRecording
@@ -91,7 +91,7 @@ def _play(
     arguments: Namespace,
     say: Callable[[Iterable[str]], None],
 ) -> int:
-    publishers = Publishers(node, channels)
+    publishers = PlayedPublishers(node, channels)
     say(dict.fromkeys(publishers.left_out))
     if not publishers.topics:
         raise EngineError(PlayText.NOTHING())

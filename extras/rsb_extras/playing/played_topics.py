@@ -59,7 +59,7 @@ class PlayedTopic(NamedTuple):
     kept: int
 
 
-class Choice(NamedTuple):
+class PlayedChoice(NamedTuple):
     """The channels that are played, and lines about those that are not."""
 
     channels: list[StoredChannel]
@@ -67,14 +67,14 @@ class Choice(NamedTuple):
     left_out: list[str]
 
 
-def choose(channels: Iterable[StoredChannel], patterns: Sequence[Pattern], *, has_clock: bool) -> Choice:
+def choose(channels: Iterable[StoredChannel], patterns: Sequence[Pattern], *, has_clock: bool) -> PlayedChoice:
     """Choose what to play.
 
     Args:
         patterns: topics to play, or none for all.
         has_clock: whether the player publishes the time itself.
     """
-    found = Choice([], [], [])
+    found = PlayedChoice([], [], [])
     for channel in channels:
         topic = channel.topic
         if patterns and not any(pattern.match(topic) is not None for pattern in patterns):
@@ -97,7 +97,7 @@ def choose(channels: Iterable[StoredChannel], patterns: Sequence[Pattern], *, ha
     return found
 
 
-class Publishers:
+class PlayedPublishers:
     """The publishers of a player: one for each recorded publisher that the recording tells apart.
 
     Attributes:

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from rsb_bridge.feature_api import Publisher
     from rsb_bridge.ros.node import RosNode
     from rsb_extras.playing.play_keys import PlayKeys
-    from rsb_extras.playing.played_topics import Publishers
+    from rsb_extras.playing.played_topics import PlayedPublishers
     from rsb_extras.recording.reading.open_recording import OpenRecording
     from rsb_extras.recording.reading.stored_message import StoredMessage
 
@@ -37,7 +37,7 @@ _LOOK_EVERY = 0.05  # s between two looks at the keys, while messages are always
 _TOLD_EVERY = 0.25  # s between two lines of state
 _LATENESSES = 100_000  # the last ones, of which percentiles are told
 _LATCHED_BYTES = 64 << 20  # of one publisher's messages before the begin. A round figure: twelve maps
-_ACKNOWLEDGED_WITHIN = 2.0  # s. A round figure: on one machine 1 ms
+_ACKNOWLEDGED_WITHIN = 10.0  # s. A round figure: on one machine 1 ms, for large messages on a busy one some s
 _CLOCK_TYPE, _TIME_TYPE = "rosgraph_msgs/msg/Clock", "builtin_interfaces/msg/Time"
 _INT32, _UINT32 = 6, 7
 _CLOCK_DESCRIPTION = TypeDescription(
@@ -98,7 +98,7 @@ class Player:
         self,
         recording: OpenRecording,
         node: RosNode,
-        publishers: Publishers,
+        publishers: PlayedPublishers,
         span: PlaySpan,
         *,
         is_paused: bool,

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import shutil
 import struct
 from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.console.driving import WIDE, notified, on_main, shown, text
 from tests.support.waiting import eventually
 from tests.support.wording import says
 
@@ -19,6 +21,7 @@ from rsb_extras.playing.review_command import NoReview
 from rsb_extras.playing.review_screen import ReviewScreen, ReviewText
 from rsb_extras.playing.tests.recorded import BEGIN, ODD, ODD_TYPE, Recorded, odd, string
 from rsb_extras.recording.reading.open_recording import OpenRecording
+from rsb_extras.recording.reading.stored_message import UnreadableRecording
 
 IMAGE = """\
 std_msgs/Header header
@@ -106,24 +109,6 @@ def test_type_that_is_installed_nowhere_is_read(path: Path) -> None:
 # --- the screen
 
 
-class Shown:
-    """The app on a terminal of a size, and what is on it."""
-
-    def __init__(self, pilot: Any, screen: ReviewScreen) -> None:
-        self.pilot, self.screen = pilot, screen
-
-    def text(self) -> str:
-        lines = self.screen.app.screen._compositor.render_strips()
-        return "\n".join(strip.text for strip in lines)
-
-    async def until(self, words: str) -> None:
-        for _ in range(600):
-            if words in self.text():
-                return
-            await self.pilot.pause(0.05)
-        raise AssertionError(f"{words!r} is not in\n{self.text()}")
-
-
 async def _show(path: Path, config: Path, use: Any, topic: str = "", seconds: float | None = None) -> None:
     begin = None if seconds is None else at(seconds)
     app = ReviewApp(OpenRecording(path), topic, begin, ascii_only=True, config=config)
@@ -131,65 +116,96 @@ async def _show(path: Path, config: Path, use: Any, topic: str = "", seconds: fl
         await pilot.pause()
         screen = app.screen
         assert isinstance(screen, ReviewScreen)
-        await use(Shown(pilot, screen))
+        await use(pilot)
 
 
 def test_screen_lists_topics_and_shows_one(path: Path, tmp_path: Path) -> None:
-    async def use(shown: Shown) -> None:
-        await shown.until("number 7")
+    async def use(pilot: Any) -> None:
+        await shown(pilot, "number 7")
         for topic in ("/text", "/value", "/camera", "/odd"):
-            assert topic in shown.text()
-        assert "7.500 / 19.2 s" in shown.text()
-        await shown.pilot.press("up")
-        await shown.until("rest:")  # of /odd
+            assert topic in text(pilot.app)
+        assert "7.500 / 19.2 s" in text(pilot.app)
+        await pilot.press("up")
+        await shown(pilot, "rest:")  # of /odd
 
     asyncio.run(_show(path, tmp_path, use, "/text", 7.5))
 
 
 def test_keys_step_and_seek(path: Path, tmp_path: Path) -> None:
-    async def use(shown: Shown) -> None:
-        await shown.until("number 7")
-        await shown.pilot.press("full_stop")
-        await shown.until("number 8")
-        await shown.pilot.press("comma")
-        await shown.until("number 7")
-        await shown.pilot.press("right")
-        await shown.until("number 12")
-        await shown.pilot.press("left", "left", "left", "left")
-        await shown.until("number 0")
+    async def use(pilot: Any) -> None:
+        await shown(pilot, "number 7")
+        await pilot.press("full_stop")
+        await shown(pilot, "number 8")
+        await pilot.press("comma")
+        await shown(pilot, "number 7")
+        await pilot.press("right")
+        await shown(pilot, "number 12")
+        await pilot.press("left", "left", "left", "left")
+        await shown(pilot, "number 0")
 
     asyncio.run(_show(path, tmp_path, use, "/text", 7.5))
 
 
 def test_it_plays_and_stops_at_the_end(path: Path, tmp_path: Path) -> None:
-    async def use(shown: Shown) -> None:
-        await shown.pilot.press("greater_than_sign", "space")
-        await shown.until("playing 2x")
-        await shown.until("number 19")
-        await shown.until(ReviewText.STANDS())
-        assert shown.screen.position == at(19.2)
+    async def use(pilot: Any) -> None:
+        await pilot.press("greater_than_sign", "space")
+        await shown(pilot, "playing 2x")
+        await shown(pilot, "number 19")
+        await shown(pilot, ReviewText.STANDS())
+        assert pilot.app.screen.position == at(19.2)
 
     asyncio.run(_show(path, tmp_path, use, "/text", 17.5))
 
 
 def test_time_before_the_first_message_says_so(path: Path, tmp_path: Path) -> None:
-    async def use(shown: Shown) -> None:
-        await shown.until("no message of /camera")
-        await shown.pilot.press("full_stop")
-        await shown.until("sensor_msgs/msg/Image")
+    async def use(pilot: Any) -> None:
+        await shown(pilot, "no message of /camera")
+        await pilot.press("full_stop")
+        await shown(pilot, "sensor_msgs/msg/Image")
 
     asyncio.run(_show(path, tmp_path, use, "/camera", 0.0))
+
+
+@on_main(WIDE)
+async def test_look_lists_recordings_of_this_machine(
+    app: Any, pilot: Any, path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`V` opens one; esc leads back."""
+    monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path / "state"))
+    folder = tmp_path / "state" / "recordings"
+    folder.mkdir(parents=True)
+    shutil.copy(path, folder / "stretch.mcap")
+    (folder / ".stretch.fetch").mkdir()
+    await pilot.press("V", *"recording")
+    await shown(pilot, "recording stretch.mcap")
+    assert ".fetch" not in text(app)
+    await pilot.press("enter")
+    await shown(pilot, "/ 19.2 s")
+    await shown(pilot, "/camera  2  sensor_msgs/msg/Image")
+    await pilot.press("escape")
+    await shown(pilot, "/robot2/scan")
+
+
+@on_main(WIDE)
+async def test_recording_that_cannot_be_read_is_told(
+    app: Any, pilot: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))
+    (tmp_path / "recordings").mkdir()
+    (tmp_path / "recordings" / "odd.mcap").write_text("text" * 20)
+    await pilot.press("V", *"recording", "enter")
+    await notified(pilot, UnreadableRecording.NO_RECORDING)
 
 
 # --- the command
 
 
 def test_it_leaves_the_terminal_as_it_was(path: Path, at_terminal: Any) -> None:
-    shown = at_terminal("review", str(path), "/text", "--at", "7.5", "--ascii")
-    shown.wait_for("number 7")
-    shown.press("q")
-    assert shown.process.wait(60) == 0
-    assert shown.text.rindex("\x1b[?1049l") > shown.text.rindex("\x1b[?1049h")
+    app = at_terminal("review", str(path), "/text", "--at", "7.5", "--ascii")
+    app.wait_for("number 7")
+    app.press("q")
+    assert app.process.wait(60) == 0
+    assert app.text.rindex("\x1b[?1049l") > app.text.rindex("\x1b[?1049h")
 
 
 def test_without_a_terminal_it_says_what_to_do(path: Path, ran: Any) -> None:
@@ -198,7 +214,7 @@ def test_without_a_terminal_it_says_what_to_do(path: Path, ran: Any) -> None:
 
 
 def test_topic_that_is_not_in_it_is_refused(path: Path, at_terminal: Any) -> None:
-    shown = at_terminal("review", str(path), "/scam")
-    eventually(lambda: shown.process.poll() is not None)
-    assert shown.process.wait() == 2
-    assert says(shown.text, NoReview.NO_TOPIC, topic="/scam")
+    app = at_terminal("review", str(path), "/scam")
+    eventually(lambda: app.process.poll() is not None)
+    assert app.process.wait() == 2
+    assert says(app.text, NoReview.NO_TOPIC, topic="/scam")
