@@ -160,8 +160,10 @@ class RingFiles:
         self._last += 1
         path = self.folder / f"{self._last:08d}{SUFFIX}"
         segment = OpenSegment(path, self._last, first.at, is_compressed=self._is_compressed)
-        for each in self._latched:
-            segment.add(self._described.get(each.topic) or undescribed(each.topic), each, first.time)
+        latched = [*self._latched]
+        for early, each in zip(range(len(latched), 0, -1), latched, strict=True):
+            topic = self._described.get(each.topic) or undescribed(each.topic)
+            segment.add(topic, each, first.time - early)  # ns apart, as some readers warn of a time that comes twice
         self._head = segment.content
         return segment
 
