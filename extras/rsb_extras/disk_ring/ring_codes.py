@@ -20,7 +20,7 @@ class RingCode(StrEnum):
 class RingText(Wording):
     KEPT = "{messages:,} messages of {topics} topics, {seconds:.0f} s, kept in {path} ({reason})"
     KEPT_CUT = "{messages:,} messages of {topics} topics, {seconds:.0f} s, of before the bridge ended, kept in {path}"
-    FULL = "not kept ({reason}): what operators kept in {folder} fills record.kept, {size:g} GB: move some, or raise it"
+    FULL = "not kept ({reason}): with what operators kept in {folder} it exceeds record.kept, {size:g} GB: move some"
     NOT_KEPT = "not kept ({reason}): {folder}: {error}"
     REMOVED = "{path} removed ({reason}), the oldest that no operator has kept: record.kept is {size:g} GB"
     RECOVERED = "{path} was cut: {messages:,} messages are whole, {lost:,} bytes behind them are lost"

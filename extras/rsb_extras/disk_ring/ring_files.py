@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 from collections import deque
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 GB = 1_000_000_000
 RING = "ring"
 """The name of the rings' folder, in the bridge's state folder."""
+_NUMBER = re.compile(r"\d{8,}" + re.escape(SUFFIX))
 _SEGMENTS = 32
 """Parts of the ring: so much of it goes at once. A round figure."""
 _SMALLEST, _LARGEST = 1 << 20, 256 << 20
@@ -116,9 +118,9 @@ class RingFiles:
         self._segments.clear()
         cut: list[Path] = []
         for path in sorted(self.folder.iterdir()):
-            if path.suffix != SUFFIX or path.name.startswith("."):
-                remove_file(path)  # half of what `complete` wrote
-            elif is_whole(path):
+            if not _NUMBER.fullmatch(path.name):
+                continue
+            if is_whole(path):
                 self._segments.append(self._found(path))
             else:
                 cut.append(path)
@@ -131,7 +133,10 @@ class RingFiles:
                 self._segments.append(self._found(path))
         self._segments = deque(sorted(self._segments, key=lambda each: each.number))
         self._last = max((each.number for each in self._segments), default=self._last)
-        if self._stretch is None:
+        if self._stretch is not None:
+            last = self._stretch.last
+            self._add_to_stretch([each for each in self._segments if each.number > last])
+        else:
             for kept in self._stretches.left(self._segments):
                 self._tell(kept, RingText.KEPT_CUT)
 
@@ -160,8 +165,10 @@ class RingFiles:
         self._last += 1
         path = self.folder / f"{self._last:08d}{SUFFIX}"
         segment = OpenSegment(path, self._last, first.at, is_compressed=self._is_compressed)
-        for each in self._latched:
-            segment.add(self._described.get(each.topic) or undescribed(each.topic), each, first.time)
+        latched = [*self._latched]
+        for early, each in zip(range(len(latched), 0, -1), latched, strict=True):
+            topic = self._described.get(each.topic) or undescribed(each.topic)
+            segment.add(topic, each, first.time - early)  # ns apart, as some readers warn of a time that comes twice
         self._head = segment.content
         return segment
 

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 from rsb_bridge.feature_api import Level, LinkError, why_not_written
 from rsb_extras.disk_ring.ring_codes import RingCode, RingProblem, RingText
 from rsb_extras.disk_ring.ring_files import RING, RingFiles, undescribed
-from rsb_extras.recording.mcap_file import McapError
 from rsb_extras.recording.message_ring import RingMessage
 
 if TYPE_CHECKING:
@@ -157,7 +156,7 @@ class RingWriter:
         """Write no more for a while if that fails."""
         try:
             yield
-        except (OSError, McapError) as error:
+        except Exception as error:  # noqa: BLE001 -- whatever it is, the ring begins anew, and the bridge goes on
             self._failed_at = self._clocks.now()
             if self._files is not None:
                 self._files.abandon()

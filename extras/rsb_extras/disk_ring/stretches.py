@@ -28,6 +28,8 @@ _AUTOMATIC = re.compile(r"-(fault|link|disarm)(-\d+)?$")
 _STATE = "stretch.json"
 _NAMES = 100
 """Stretches of one second and cause. A round figure: another one is refused."""
+_ENDED = 1 << 62
+"""In place of a segment's number: no later one belongs to the stretch."""
 _CAUSES = 100
 """Causes of one stretch that are written down. A round figure: a fault may come and go for minutes."""
 
@@ -89,6 +91,11 @@ class Stretch:
         self._save()
 
     @property
+    def last(self) -> int:
+        """Number of the newest segment that needs no more to be added."""
+        return self._state.last
+
+    @property
     def occasions(self) -> Sequence[Occasion]:
         return self._state.occasions
 
@@ -142,12 +149,13 @@ class Stretch:
         if not parts:
             shutil.rmtree(self._part)
             return None
-        path = self.path
+        path, self._state.last = self.path, _ENDED
+        self._save()
         files = [part.rename(part.with_name(f"{path.name}_{number}{SUFFIX}")) for number, part in enumerate(parts)]
         text, figures = bag_metadata(files, self._custom(lost, is_cut=is_cut))
         replace_file(self._part / NAME, text.encode())
-        (self._part / _STATE).unlink(missing_ok=True)
         self._part.rename(path)
+        (path / _STATE).unlink(missing_ok=True)  # not before: without it, the part would be taken for an empty one
         sync_folder(path.parent)
         return KeptStretchFolder(path, size_of(path), figures)
 
@@ -199,21 +207,21 @@ class StretchFolder:
         """Remove the oldest stretches that no operator has asked for, until so many bytes have room; yield each.
 
         Raises:
-            FullError: operators' stretches leave no room.
+            FullError: operators' stretches leave no room. None is removed.
             OSError: one cannot be removed.
         """
         found = sorted(self._whole(), key=lambda path: (path / NAME).stat().st_mtime)
         sizes = {path: size_of(path) for path in found}
+        removable = [path for path in found if _AUTOMATIC.search(path.name)]
         total = sum(sizes.values()) + wanted
-        for path in found:
+        if total - sum(sizes[path] for path in removable) > self.size:
+            raise FullError
+        for path in removable:
             if total <= self.size:
                 return
-            if _AUTOMATIC.search(path.name):
-                shutil.rmtree(path)
-                total -= sizes[path]
-                yield path
-        if total > self.size:
-            raise FullError
+            shutil.rmtree(path)
+            total -= sizes[path]
+            yield path
 
     def _whole(self) -> Iterator[Path]:
         with contextlib.suppress(FileNotFoundError):

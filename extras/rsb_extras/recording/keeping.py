@@ -189,9 +189,10 @@ class Keeping(EnginePart):
         began, last, unbroken = window.began, window.began, 0
         topics = {id(each): described[each] for each in window.topics}
         for is_latched, messages in ((True, window.latched), (False, window.messages)):
-            for each in messages:
+            for number, each in enumerate(messages):
                 topic = topics.get(id(each.topic)) or described[each.topic]
-                last = began if is_latched else each.time
+                # ns apart, as some readers warn of a time that comes twice.
+                last = began - len(messages) + number if is_latched else each.time
                 recording.add(topic, each.content, last, each.published, each.number)
                 unbroken += each.cost
                 if unbroken > _BREATH_AFTER:

@@ -6,7 +6,7 @@ import threading
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.support.bridge import carries, happened, reloaded
+from tests.support.bridge import carries, halves, happened, reloaded
 from tests.support.domain import LATCHED, text
 from tests.support.inside import inside
 from tests.support.participants import KnownNode
@@ -15,9 +15,11 @@ from tests.support.wording import pattern
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.feature_api import Level
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
 from rsb_bridge.ros.ros_interface import TopicSpec
+from rsb_bridge.route.sender import Sender
 from rsb_extras.disk_ring.disk_ring import REASONS
 from rsb_extras.disk_ring.keep_stretch import KeepStretch
 from rsb_extras.disk_ring.ring_codes import RingCode, RingProblem
@@ -32,8 +34,6 @@ if TYPE_CHECKING:
     from tests.support.bridge import Bridge
     from tests.support.domain import Domain
     from tests.support.relay import Relay
-
-    from rsb_bridge.engine import Engine
 
 ON = {"record": RecordLimits(disk=1.0, free=0.0, after=0.0)}
 
@@ -86,8 +86,8 @@ def test_lost_link_keeps_a_stretch(bridge: Bridge, robot: Domain, pc: Domain, re
     assert metadata(stretch)["custom_data"]["subject"] == "robot1"
 
 
-@pytest.mark.parametrize("code", REASONS)
-def test_events_keep_stretches(code: str, bridge: Bridge, robot: Domain, folder: Path) -> None:
+@pytest.mark.parametrize("code", map(EventCode, REASONS))
+def test_events_keep_stretches(code: EventCode, bridge: Bridge, robot: Domain, folder: Path) -> None:
     client = bridge.client(
         Topic("/chat", "transmit"), features={"record": RecordLimits(disk=1.0, free=0.0, after=0.0, also=("/alone",))}
     )
@@ -166,9 +166,5 @@ def test_reload_switches_it(bridge: Bridge, robot: Domain, pc: Domain, folder: P
     reloaded(client, tmp_path / "client.yaml", features={})
     eventually(lambda: not threads())
     assert [each for path in ring(folder) for each in texts(path)] == ["word 0", "word 1"]
-    assert not is_tapped(client)
-
-
-def is_tapped(engine: Engine) -> bool:
-    routes = [route for link in inside(engine).role.links() for route in link.routes.values()]
-    return any(route.half.flow.peek_slot.wanted for route in routes)  # type: ignore[union-attr]
+    (sender,) = halves(client, Sender)
+    assert not sender.flow.peek_slot.wanted

@@ -19,7 +19,7 @@ from rsb_extras.disk_ring.ring_rules import RingRuleText
 from rsb_extras.disk_ring.tests.scripted_answers import KEEPING
 from rsb_extras.recording import RecordLimits
 from rsb_extras.recording.record_rules import RecordText
-from rsb_extras.recording.tests.test_record_command import session
+from rsb_extras.recording.tests.recordings import session
 
 if TYPE_CHECKING:
     from tests.support.control import Machine

@@ -138,3 +138,13 @@ def test_larger_head_makes_longer_segments(bed: RingBed) -> None:
     bed.pass_time(300)
     bed.end()
     assert len(bed.segments) == 2, "a map again each 30 s would be most of the ring"
+
+
+def test_others_files_are_left_alone(tmp_path: Path) -> None:
+    bed = RingBed(tmp_path)
+    strange = [bed.files.folder / name for name in ("notes.txt", "mine.mcap")]
+    for path in strange:
+        path.write_text("mine")
+    bed.close()
+    RingBed(tmp_path).end()
+    assert all(path.exists() for path in strange)

@@ -173,3 +173,42 @@ def test_file_system_without_links_has_a_copy(bed: RingBed, monkeypatch: pytest.
     bed.keep()
     bed.pass_time(31)
     assert texts(bed.stretches[0]) == at(1001, 1100)
+
+
+def test_failure_within_a_stretch_leaves_no_gap(bed: RingBed) -> None:
+    bed.pass_time(10)
+    bed.keep()
+    bed.pass_time(10)
+    bed.files.abandon()
+    bed.files.begin()
+    bed.pass_time(21)
+    (stretch,) = bed.stretches
+    assert texts(stretch) == at(1001, 1040)
+
+
+def test_stretch_without_room_removes_none(tmp_path: Path) -> None:
+    bed = RingBed(tmp_path, RecordLimits(disk=0.1, free=0.0, before=100.0, after=1.0, kept=0.01))
+    bed.pass_time(5)
+    bed.keep()
+    bed.pass_time(2)
+    for _ in range(300):
+        bed.write(os.urandom(45_000).hex())
+    assert "record.kept" in str(bed.keep("note"))
+    assert len(bed.stretches) == 1
+    bed.end()
+
+
+def test_power_cut_while_a_stretch_gets_its_name(bed: RingBed, monkeypatch: pytest.MonkeyPatch) -> None:
+    bed.pass_time(70)
+    bed.keep()
+    with monkeypatch.context() as patch:
+        patch.setattr("rsb_extras.disk_ring.stretches.bag_metadata", _fail)
+        bed.pass_time(31)
+    bed.close()
+    after = RingBed(bed.state, now=1200.0)
+    assert texts(after.stretches[0]) == at(1001, 1100)
+    after.end()
+
+
+def _fail(*_: object) -> None:
+    raise OSError

@@ -8,6 +8,8 @@ from typing import Any, NamedTuple
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
+from rsb_bridge.model.session import Session
+
 
 class Read(NamedTuple):
     """A message of a recording, as rosbags reads it."""
@@ -37,3 +39,16 @@ def read_strictly(path: str | Path) -> list[tuple[Any, Any, Any]]:
     assert summary.statistics is not None
     assert summary.statistics.message_count == len(messages)
     return messages
+
+
+def session(value: object) -> Session:
+    """A server's session with a value of `record`."""
+    return Session(
+        name="robot1",
+        role="server",
+        key_file="robot1.key",
+        server_ip="127.0.0.1",
+        server_port=7060,
+        domain_id=1,
+        features={"record": value},
+    )

@@ -18,7 +18,6 @@ from tests.support.wording import says
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.validation import validate
-from rsb_bridge.model.session import Session
 from rsb_console.notation.formats import byte_count
 from rsb_extras.pictures.tests.view_screen_helpers import comes, looking, viewed
 from rsb_extras.recording import RecordingFeature, RecordLimits, record_limits
@@ -27,6 +26,7 @@ from rsb_extras.recording.keeping import KeepProblem
 from rsb_extras.recording.mcap_file import McapText
 from rsb_extras.recording.record_command import RecordedText, record
 from rsb_extras.recording.record_rules import RecordText
+from rsb_extras.recording.tests.recordings import session
 from rsb_extras.recording.tests.scripted_answers import KEPT
 
 if TYPE_CHECKING:
@@ -221,18 +221,6 @@ async def test_key_says_how_to_switch_it_on(app: ConsoleApp, pilot: Pilot[None],
     await pilot.press("P")
     await shown(pilot, "record: true")
     assert asked == [KeepLast()]
-
-
-def session(value: object) -> Session:
-    return Session(
-        name="robot1",
-        role="server",
-        key_file="robot1.key",
-        server_ip="127.0.0.1",
-        server_port=7060,
-        domain_id=1,
-        features={"record": value},
-    )
 
 
 @pytest.mark.parametrize(
