@@ -144,6 +144,7 @@ class CourierPart(EnginePart):
         self._kept = bridge.context.shared(KeptRecordings)
         self._fetches: dict[str, Fetch] = {}
         self._stopping = False
+        self._loading: asyncio.Task[None] | None = None
         self._asking = asyncio.Lock()
         self.handlers = {
             ListRecordings: self._list,
@@ -185,6 +186,8 @@ class CourierPart(EnginePart):
 
     async def _fetch(self, command: FetchRecording) -> str:
         link = link_named(command.link, self._bridge.links())
+        if self._loading is not None:
+            await asyncio.shield(self._loading)
         async with self._asking:  # names are given one after the other
             listed = _chosen(command, await link.extensions.find(LinkCourier).recordings())
             wanted = _wanted(command, listed)
@@ -297,10 +300,13 @@ class CourierPart(EnginePart):
 
     async def close(self) -> None:
         self._stopping = True
-        tasks = [self._loading, *(each.task for each in self._fetches.values() if each.task is not None)]
+        tasks = [
+            each for each in (self._loading, *(fetch.task for fetch in self._fetches.values())) if each is not None
+        ]
         for task in tasks:
             task.cancel()
-        await asyncio.wait(tasks)
+        if tasks:
+            await asyncio.wait(tasks)
 
 
 def _chosen(command: FetchRecording, listed: tuple[ListedRecording, ...]) -> ListedRecording:
