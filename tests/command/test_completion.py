@@ -168,7 +168,7 @@ def test_no_argument_is_left_out() -> None:
     """Every argument is completed, has choices, or takes something that nobody can list."""
     free = {
         "N", "HZ", "BYTES", "SECONDS", "SPAN", "YAML", "VALUE", "PATTERN", "ADDRESS", "N,...", "A,B", "NAME,...",
-        "DEGREES", "FRAME", "TEXT",
+        "DEGREES", "FRAME", "TEXT", "TIME",
     }  # fmt: skip
     own = {"audit --pair", "import --name", "import --port", "client add NAME", "pub --type", "review TOPIC"}
 

@@ -106,7 +106,7 @@ class Courier(Feature):
 
         return (
             Action(
-                "recordings", "F", "recordings", "Show the recordings of both sides, and get one from the other side",
+                "recordings", "F", "recordings", "Show the recordings of both sides; get one from there",
                 Group.OPERATE, also="fetch, download, mcap, bag, rosbag, courier",
                 run=late("rsb_extras.courier.courier_screen:show_recordings"), chapters=(CHAPTER,), after="record",
             ),

@@ -67,6 +67,7 @@ class CourierCommandText(Wording):
     GOES_ON = "{name}: the bridge goes on; `rsb-console record cancel {name}` gives it up"
     DONE = "{messages:,} messages, {size} crossed: {path}"
     DONE_THERE = "{messages:,} messages, {size} crossed: {path} on the bridge's machine"
+    DAMAGED = "{text}; the rest could not be read: {damage}"
     FAILED = "{name}: {reason}"
     GONE = "{name}: the bridge knows nothing of it any more: look at `rsb-console record list`"
     CANCELLED = "{name} is given up"
@@ -147,7 +148,7 @@ def _has_date(listed: ListedRecording) -> bool:
 def fetch_text(fetch: FetchReport) -> str:
     """Return how a fetch goes, in words."""
     if fetch.state is FetchState.DONE:
-        return CourierCommandText.DONE(messages=fetch.messages, size=byte_count(fetch.taken), path=fetch.path)
+        return done_text(fetch, CourierCommandText.DONE)
     if fetch.state is FetchState.FAILED:
         return fetch.reason
     parts = [CourierCommandText.PROGRESS(share=fetch.share, size=byte_count(fetch.taken))]
@@ -156,6 +157,11 @@ def fetch_text(fetch: FetchReport) -> str:
     if fetch.rest is not None:
         parts.append(CourierCommandText.REST(rest=duration(fetch.rest)))
     return ", ".join([*parts, fetch.reason or fetch.state])
+
+
+def done_text(fetch: FetchReport, wording: CourierCommandText) -> str:
+    text = wording(messages=fetch.messages, size=byte_count(fetch.taken), path=fetch.path)
+    return CourierCommandText.DAMAGED(text=text, damage=fetch.reason) if fetch.reason else text
 
 
 def _get(arguments: Namespace) -> int:
@@ -243,7 +249,7 @@ def _tell(engine: RemoteEngine, arguments: Namespace, fetch: FetchReport) -> int
         print_line(json_line({"ok": is_done} | ({} if is_done else {"error": fetch.reason}) | data))
     elif is_done:
         text = CourierCommandText.DONE if engine.trusted else CourierCommandText.DONE_THERE
-        print_line(text(messages=fetch.messages, size=byte_count(fetch.taken), path=fetch.path))
+        print_line(done_text(fetch, text))
     else:
         print_error(CourierCommandText.FAILED(name=fetch.name, reason=fetch.reason))
     return OK if is_done else FAILURE

@@ -35,8 +35,8 @@ from rsb_extras.courier.courier_requests import (
     RecordingGroup,
 )
 from rsb_extras.courier.fetch_spool import SPOOL, AskedFetch, FetchSpool
-from rsb_extras.courier.kept_recordings import KeptRecordings
-from rsb_extras.courier.link_courier import CourierCode, FetchError, LinkCourier
+from rsb_extras.courier.kept_recordings import FetchError, KeptRecordings
+from rsb_extras.courier.link_courier import CourierCode, LinkCourier
 from rsb_extras.courier.pieces import PieceError
 from rsb_extras.recording.mcap_file import McapError
 
@@ -50,8 +50,9 @@ MOST_FETCHES = 16
 """Under way or waiting. A round figure: one of a link comes after the other."""
 _REMEMBERED = 16
 """Fetches that have ended, which are still reported."""
-_AGAIN_AFTER, _DISK_AGAIN_AFTER = 2.0, 30.0
-"""s until a fetch is tried again: after the other side did not give it, and after the disk took nothing."""
+_AGAIN_AFTER, _DISK_AGAIN_AFTER, _LONGEST_PAUSE = 2.0, 30.0, 60.0
+"""s until a fetch is tried again: after the other side did not give it, twice as long each time; after the disk took
+nothing; and at most. Round figures."""
 _RATE_OVER = 30.0
 """s over which the rate is reckoned: some pieces at 1 Mbit/s. A round figure."""
 
@@ -87,13 +88,14 @@ class Fetch:
     Attributes:
         reason: why it waits, or has failed.
         again_at: s, before which it is not tried again.
+        pause: s from the last attempt to that.
     """
 
     def __init__(self, spool: FetchSpool, now: float) -> None:
         self.spool = spool
         self.state = FetchState.WAITING
         self.reason = ""
-        self.again_at = now
+        self.again_at, self.pause = now, _AGAIN_AFTER / 2
         self.messages = 0
         self.task: asyncio.Task[None] | None = None
         self._progress = deque([_Progress(now, spool.taken, self.share)])
@@ -142,6 +144,7 @@ class CourierPart(EnginePart):
         self._kept = bridge.context.shared(KeptRecordings)
         self._fetches: dict[str, Fetch] = {}
         self._stopping = False
+        self._loading: asyncio.Task[None] | None = None
         self._asking = asyncio.Lock()
         self.handlers = {
             ListRecordings: self._list,
@@ -183,6 +186,8 @@ class CourierPart(EnginePart):
 
     async def _fetch(self, command: FetchRecording) -> str:
         link = link_named(command.link, self._bridge.links())
+        if self._loading is not None:
+            await asyncio.shield(self._loading)
         async with self._asking:  # names are given one after the other
             listed = _chosen(command, await link.extensions.find(LinkCourier).recordings())
             wanted = _wanted(command, listed)
@@ -254,15 +259,16 @@ class CourierPart(EnginePart):
 
     async def _attempt(self, fetch: Fetch, link: Link) -> None:
         """Get as much as comes, and write the file once all is there."""
-        courier, spool = link.extensions.find(LinkCourier), fetch.spool
+        courier, spool, taken = link.extensions.find(LinkCourier), fetch.spool, fetch.spool.taken
         try:
             if not spool.is_whole:
                 fetch.state, fetch.reason = FetchState.FETCHING, ""
                 await courier.receive(spool)
             fetch.state, fetch.reason = FetchState.WRITING, ""
-            fetch.messages = await asyncio.to_thread(spool.write, lambda: self._stopping)
+            fetch.messages = await asyncio.to_thread(spool.write, lambda: self._stopping or fetch.is_over)
         except LinkError as error:
-            self._wait(fetch, str(error), _AGAIN_AFTER)
+            fetch.pause = _AGAIN_AFTER if spool.taken > taken else min(2 * fetch.pause, _LONGEST_PAUSE)
+            self._wait(fetch, str(error), fetch.pause)
         except InterruptedError:
             self._wait(fetch, FetchProblem.STOPS(), _AGAIN_AFTER)
         except OSError as error:
@@ -271,7 +277,7 @@ class CourierPart(EnginePart):
         except (FetchError, PieceError, McapError) as error:
             await self._fail(fetch, str(error))
         else:
-            fetch.state = FetchState.DONE
+            fetch.state, fetch.reason = FetchState.DONE, spool.damage
             self._log(CourierCode.DONE, fetch.asked, f"{fetch.messages:,} messages written to {spool.path}")
         finally:
             fetch.task = None
@@ -294,10 +300,13 @@ class CourierPart(EnginePart):
 
     async def close(self) -> None:
         self._stopping = True
-        tasks = [self._loading, *(each.task for each in self._fetches.values() if each.task is not None)]
+        tasks = [
+            each for each in (self._loading, *(fetch.task for fetch in self._fetches.values())) if each is not None
+        ]
         for task in tasks:
             task.cancel()
-        await asyncio.wait(tasks)
+        if tasks:
+            await asyncio.wait(tasks)
 
 
 def _chosen(command: FetchRecording, listed: tuple[ListedRecording, ...]) -> ListedRecording:

@@ -71,6 +71,7 @@ class FetchSpool:
         known: channels that have come.
         taken: bytes of the pieces.
         is_whole: whether nothing is missing.
+        damage: why the rest of the recording could not be read, or empty.
     """
 
     def __init__(self, folder: Path, asked: AskedFetch) -> None:
@@ -79,6 +80,7 @@ class FetchSpool:
         self.known: set[bytes] = set()
         self.taken: Count = 0
         self.is_whole = False
+        self.damage = ""
         self._pieces = 0
 
     @classmethod
@@ -119,7 +121,7 @@ class FetchSpool:
         self.known.update(piece.content().channels)
         if len(self.known) > MOST_CHANNELS:
             raise PieceError(PieceProblem.TOO_MANY_CHANNELS(most=MOST_CHANNELS))
-        self.at, self.is_whole = piece.end, piece.is_last
+        self.at, self.is_whole, self.damage = piece.end, piece.is_last, piece.damage
         self.taken += size
         self._pieces += 1
 

@@ -54,6 +54,10 @@ class KeptProblem(Wording):
     READING = "it is being read for the first time: list the recordings again"
 
 
+class FetchError(Exception):
+    """A fetch ends; the text says why."""
+
+
 class _Mark(NamedTuple):
     """A file as it was."""
 
@@ -83,6 +87,10 @@ class Kept(NamedTuple):
     def changed_at(self) -> int:
         """When a file of it was changed last (ns since the epoch)."""
         return max(mark.time for mark in self.marks)
+
+    def without_folder(self, text: str) -> str:
+        """Return a text without the folder: where a recording is, is no business of a peer."""
+        return text.replace(f"{self.path.parent}/", "")
 
     def has_changed(self) -> bool:
         try:
@@ -125,14 +133,14 @@ class KeptRecordings:
         """Return one that a peer may get, on any thread.
 
         Raises:
-            RecordingError: it is not there, or another one by now.
+            FetchError: it is not there, or another one by now.
         """
         for kept in self._found(fetched=False):
             if kept.id == key:
                 if kept.stamp != stamp:
-                    raise RecordingError(KeptProblem.CHANGED())
+                    raise FetchError(KeptProblem.CHANGED())
                 return kept
-        raise RecordingError(KeptProblem.GONE())
+        raise FetchError(KeptProblem.GONE())
 
     def _found(self, *, fetched: bool) -> Iterator[Kept]:
         folders = [self.recorded, *map(Path, RECORDINGS_KEY.of(self._context.session).folders)]
@@ -178,7 +186,7 @@ class KeptRecordings:
         try:
             summary = OpenRecording(kept.path).summary
         except (RecordingError, OSError) as error:
-            summary = str(error).replace(str(kept.path), kept.path.name)  # paths are no business of a peer's
+            summary = kept.without_folder(str(error))
         about = _cause_and_note(kept.path)
         self._known[kept.id] = kept.stamp, summary, about
         while len(self._known) > _REMEMBERED:

@@ -8,6 +8,7 @@ whatever has happened: the sending side remembers nothing that counts.
 from __future__ import annotations
 
 import asyncio
+from contextlib import contextmanager
 from enum import StrEnum
 from functools import partial
 from typing import TYPE_CHECKING
@@ -38,14 +39,14 @@ from rsb_extras.courier.courier_messages import (
     RecordingsAnswer,
 )
 from rsb_extras.courier.courier_records import MOST_RECORDINGS, PAGE
-from rsb_extras.courier.kept_recordings import KeptProblem, KeptRecordings, may_read
-from rsb_extras.courier.pieces import Cutter, PieceError, PieceProblem, decode_piece, encode_piece
+from rsb_extras.courier.kept_recordings import FetchError, KeptProblem, KeptRecordings, may_read
+from rsb_extras.courier.pieces import Cutter, Piece, PieceError, PieceProblem, decode_piece, encode_piece
 from rsb_extras.courier.slices import SLICE_HEAD, Pace, SliceJoiner
 from rsb_extras.recording.reading.open_recording import OpenRecording
 from rsb_extras.recording.reading.stored_message import RecordingError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from rsb_bridge.feature_api import Link, Rights, Route
     from rsb_bridge.model.session import Direction
@@ -94,10 +95,6 @@ class CourierProblem(Wording):
     SILENT = "{link} sent nothing for {seconds:.0f} s"
     GAP = "a piece did not come"
     LIES = "{link} sent what it was not asked for: {error}"
-
-
-class FetchError(Exception):
-    """A fetch ends; the text says why."""
 
 
 class _Sending:
@@ -244,7 +241,7 @@ class LinkCourier(AskingExtension):
             await self._send_pieces(sending, source, cutter, kept)
         except LinkError as error:
             self._end_run(order.run, str(error), is_final=False)
-        except (FetchError, RecordingError) as error:
+        except FetchError as error:
             self._end_run(order.run, str(error), is_final=True)
 
     async def _source(self, route_id: int) -> BytesSource:
@@ -269,7 +266,7 @@ class LinkCourier(AskingExtension):
         is_last = False
         while not is_last:
             await sending.until(lambda: sending.given < sending.taken + WINDOW)
-            piece = await asyncio.to_thread(cutter.next)
+            piece = await asyncio.to_thread(_next_piece, cutter, kept)
             self._check(sending.order)  # a reload may have taken the right away
             if await asyncio.to_thread(kept.has_changed):
                 raise FetchError(KeptProblem.CHANGED())
@@ -432,7 +429,22 @@ class LinkCourier(AskingExtension):
 
 def _cutter(order: BeginPieces, kept: Kept) -> Cutter:
     wanted = order.wanted
-    messages = OpenRecording(kept.path).messages(
-        topics=frozenset(wanted.topics), begin=max(wanted.begin, order.at.time), end=wanted.end + 1
-    )
-    return Cutter(order.run, messages, order.at, order.known)
+    with _read_for_peer(kept):
+        messages = OpenRecording(kept.path).messages(
+            topics=frozenset(wanted.topics), begin=max(wanted.begin, order.at.time), end=wanted.end + 1
+        )
+        return Cutter(order.run, messages, order.at, order.known)
+
+
+def _next_piece(cutter: Cutter, kept: Kept) -> Piece:
+    with _read_for_peer(kept):
+        return cutter.next()
+
+
+@contextmanager
+def _read_for_peer(kept: Kept) -> Iterator[None]:
+    """Raise `FetchError` if a recording cannot be read; a peer is not told where it is."""
+    try:
+        yield
+    except (RecordingError, OSError) as error:
+        raise FetchError(kept.without_folder(str(error))) from None

@@ -14,9 +14,9 @@ import msgspec
 import zstandard
 from msgspec import Meta
 
-from rsb_bridge.feature_api import TEXT_LENGTH, Count, Name, Wording, sanitize_text
+from rsb_bridge.feature_api import TEXT_LENGTH, Count, Name, Reason, Wording, sanitize_text
 from rsb_extras.courier.courier_records import Cursor
-from rsb_extras.recording.reading.stored_message import LONGEST, StoredChannel, StoredMessage
+from rsb_extras.recording.reading.stored_message import LONGEST, DamageError, StoredChannel, StoredMessage
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
@@ -103,6 +103,7 @@ class Piece(msgspec.Struct, frozen=True, array_like=True):
         begin: where it begins in the messages that are asked for, and `end` where the next one does.
         is_last: whether none follows.
         packed: its `PieceContent`, by zstd.
+        damage: of the last piece: why the rest of the recording is not read, or empty.
     """
 
     run: Count
@@ -111,6 +112,7 @@ class Piece(msgspec.Struct, frozen=True, array_like=True):
     end: Cursor
     is_last: bool
     packed: Annotated[bytes, Meta(max_length=LIMIT)]
+    damage: Reason = ""
 
     def content(self) -> PieceContent:
         """Return what is packed; raises `PieceError`."""
@@ -166,6 +168,7 @@ class Cutter:
         self._ids: dict[StoredChannel, tuple[bytes, PieceChannel]] = {}
         self._time, self._had = at.time, -1  # of the message that was read last
         self._rest: StoredMessage | None = None
+        self._damage = ""
         self._offset = 0  # bytes of it that have been cut off
         self._advance()
         while self._rest is not None and self._place() < Cursor(at.time, at.had):
@@ -177,7 +180,11 @@ class Cutter:
         return Cursor(self._time, self._had, self._offset)
 
     def _advance(self) -> None:
-        self._rest, self._offset = next(self._messages, None), 0
+        self._offset = 0
+        try:
+            self._rest = next(self._messages, None)
+        except DamageError as error:
+            self._rest, self._damage = None, sanitize_text(str(error))
         if self._rest is None or self._rest.time == self._time:
             self._had += 1
         else:
@@ -207,7 +214,7 @@ class Cutter:
         self._number += 1
         packed = msgspec.msgpack.encode(PieceContent(channels, b"".join(parts)))
         packed = zstandard.ZstdCompressor(level=_LEVEL).compress(packed)
-        return Piece(self._run, self._number, begin, self._at, self._rest is None, packed)
+        return Piece(self._run, self._number, begin, self._at, self._rest is None, packed, self._damage)
 
     def _part(self, key: bytes, message: StoredMessage, room: int) -> list[bytes | memoryview]:
         """Return so many bytes of a message from `_offset` on."""

@@ -19,8 +19,6 @@ _UNDER_WAY = 2
 _LEAST, _FIRST = 2 << 10, 4 << 10  # bytes
 _MORE_BELOW, _LESS_ABOVE = 0.05, 0.1
 """s that a slice takes more than the fastest lately: from RFC 6817, which has 0.1 s as the most."""
-_FILTER = 4
-"""Slices of which the fastest counts: a processor that is busy for a moment is no queue."""
 _GROWS, _SHRINKS = 1.25, 0.7  # round figures
 _BASE_FOR = 60.0
 """s for which the fastest slice counts at least: a way may get longer."""
@@ -32,7 +30,6 @@ class Pace:
     def __init__(self) -> None:
         self.size = _FIRST
         self._sent: deque[float] = deque()
-        self._last: deque[float] = deque(maxlen=_FILTER)
         self._heard = 0
         self._fastest = self._fastest_before = float("inf")
         self._since: float | None = None
@@ -55,8 +52,7 @@ class Pace:
         if self._since is None or now - self._since > _BASE_FOR:
             self._since, self._fastest_before, self._fastest = now, self._fastest, float("inf")
         self._fastest = min(self._fastest, seconds)
-        self._last.append(seconds)
-        over = min(self._last) - min(self._fastest, self._fastest_before)
+        over = seconds - min(self._fastest, self._fastest_before)
         if over < _MORE_BELOW:
             self.size = min(int(self.size * _GROWS), PIECE)
         elif over > _LESS_ABOVE:

@@ -1,8 +1,8 @@
 """Prints what a fetch does to a topic beside it, and what cuts cost a fetch.
 
 ``python -m rsb_extras.courier.tests.fetch_cost beside`` plays a robot behind 1 Mbit/s on virtual time, with a topic of
-20 Hz, without a fetch and with one. ``… cuts [MB]`` has two engines of this machine get a recording through a relay of
-20 Mbit/s, without a cut and with 20.
+20 Hz, without a fetch and with one; ``… outages [MB]`` one behind 20 Mbit/s and 20 ms, whose fetch has 20 outages of
+3 s. ``… cuts [MB]`` has two engines of this machine get a recording through a relay of 20 Mbit/s, with 20 cuts.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import msgspec
 from tests.simulation.conditions import STILL
+from tests.simulation.network import Path as NetworkPath
 from tests.simulation.world import World
 from tests.support.ports import free_port
 from tests.support.relay import Relay
@@ -38,11 +39,13 @@ from rsb_extras.recording.mcap_file import new_recording
 from rsb_extras.recording.reading.open_recording import OpenRecording
 
 if TYPE_CHECKING:
+    from random import Random
+
     from rsb_bridge.feature_api import Link
 
 _MBIT = 125_000.0  # bytes/s
 _SETTLED, _SECONDS = 60.0, 120.0
-_CUTS = 20
+_CUTS, _OUTAGE = 20, 3.0
 _DOMAINS = 66, 67
 
 
@@ -118,6 +121,70 @@ def beside(folder: Path) -> None:
                 what = f"beside a fetch of {one.fetched / 1000:.0f} kB/s" if fetches else "alone"
                 ages = f"p50 {one.p50 * 1000:.0f} ms, p99 {one.p99 * 1000:.0f} ms"
                 print(f"20 Hz of {size:,} B, seed {seed}, {what}: {one.rate:.1f} Hz, {ages}", flush=True)
+
+
+def outages(folder: Path, megabytes: int) -> None:
+    """Play a robot behind 20 Mbit/s, of which another machine gets a recording."""
+    _write(folder / "drive.mcap", megabytes)
+    for count in (0, _CUTS):
+        world = World(1, replace(STILL, patience=60.0, outlive=600.0))
+        (robot,) = world.robots
+        robot.topic_flows.clear()
+        world.topic_flows.clear()
+        session = robot.host.session
+        robot.host.session = msgspec.structs.replace(session, topics=(), features=_robot_features(folder))
+        seconds, carried, taken = world_fetch(world, count)
+        limit = carried / (20 * _MBIT) + count * _OUTAGE
+        print(
+            f"{taken:,} bytes of pieces with {count} outages of {_OUTAGE:g} s: {carried:,} on the line "
+            f"({carried / taken - 1:.2%} more), {seconds:.1f} s; the line needs {limit:.1f} s",
+            flush=True,
+        )
+
+
+def world_fetch(world: World, count: int) -> tuple[float, int, int]:
+    """Return the s of a fetch, and the bytes on the line and in its pieces."""
+    (robot,) = world.robots
+    found: list[tuple[float, int, int]] = []
+    carried = 0
+    delay = NetworkPath.delay
+
+    async def live() -> None:
+        nonlocal carried
+        await asyncio.sleep(20.0)
+        path = world.network.path(robot.host.machine, world.server.machine)
+        for each in world.network.both_ways(robot.host.machine, world.server.machine):
+            each.latency, each.bandwidth = (0.02, 0.021), 20 * _MBIT
+        _, there = world.link_ends(robot) or (None, None)
+        assert there is not None
+        spool = await _spool(there)
+        began, whole = world.loop.time(), spool.asked.listed.end - spool.asked.listed.begin
+
+        def counted(self: NetworkPath, size: int, now: float, random: Random) -> float:
+            nonlocal carried
+            carried += size if self is path else 0
+            return delay(self, size, now, random)
+
+        NetworkPath.delay = counted  # type: ignore[method-assign]
+        marks = [spool.asked.listed.begin + whole * (at + 1) // (count + 1) for at in range(count)]
+        getting = asyncio.ensure_future(there.extensions.find(LinkCourier).receive(spool))
+        while not getting.done():
+            if marks and spool.at.time > marks[0]:
+                marks.pop(0)
+                with world.trouble("cut", robot):
+                    world.network.cut(robot.host.machine, world.server.machine)
+                    await asyncio.sleep(_OUTAGE)
+                    world.network.heal(robot.host.machine, world.server.machine)
+            await asyncio.sleep(0.05)
+        await getting
+        assert not marks
+        found.append((world.loop.time() - began, carried, spool.taken))
+
+    try:
+        world.play(life=live())
+    finally:
+        NetworkPath.delay = delay  # type: ignore[method-assign]
+    return found[0]
 
 
 class Fetched(NamedTuple):
@@ -197,7 +264,7 @@ def cuts(folder: Path, megabytes: int) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m rsb_extras.courier.tests.fetch_cost", description=__doc__)
-    parser.add_argument("what", choices=("beside", "cuts"))
+    parser.add_argument("what", choices=("beside", "outages", "cuts"))
     parser.add_argument("megabytes", nargs="?", type=int, default=200)
     arguments = parser.parse_args()
     os.environ.pop("STATE_DIRECTORY", None)
@@ -205,6 +272,8 @@ def main() -> None:
         os.environ["XDG_STATE_HOME"] = folder
         if arguments.what == "beside":
             beside(Path(folder))
+        elif arguments.what == "outages":
+            outages(Path(folder), arguments.megabytes)
         else:
             cuts(Path(folder), arguments.megabytes)
 

@@ -128,6 +128,29 @@ def test_a_fetch_outlives_cuts_and_restarts_of_each_side(bridge: Bridge, bags: P
     assert in_bag(fetched / "robot1-drive.mcap") == written
 
 
+def test_a_damaged_recording_comes_up_to_the_damage(bridge: Bridge, bags: Path, fetched: Path) -> None:
+    written = write_bag(bags / "drive.mcap", messages(30, 5000))
+    data = bytearray((bags / "drive.mcap").read_bytes())
+    middle = len(data) // 2
+    data[middle : middle + 1000] = bytes(1000)
+    (bags / "drive.mcap").write_bytes(data)
+    pc, _ = two_sides(bridge, bags)
+    found = done(pc, fetch(pc, "drive.mcap"))
+    assert "it is cut off or damaged" in found.reason
+    assert 0 < found.messages < len(written)
+    assert in_bag(fetched / "robot1-drive.mcap") == written[: found.messages]
+
+
+def test_where_a_recording_is_stays_untold(bridge: Bridge, bags: Path) -> None:
+    """Neither by its name, nor by the reason why it cannot be read."""
+    (bags / "drive.mcap").write_bytes(b"no recording")
+    pc, _ = two_sides(bridge, bags)
+    (drive,) = listed(pc).values()
+    assert drive.problem.startswith("drive.mcap is no recording")
+    with pytest.raises(EngineError, match=r"no topic that this side may read: drive\.mcap is no recording"):
+        fetch(pc, "drive.mcap")
+
+
 def test_a_fetch_is_given_up(bridge: Bridge, bags: Path, fetched: Path) -> None:
     write_bag(bags / "drive.mcap", messages(20, 5000))
     with Relay(("127.0.0.1", bridge.port), rate=500_000) as relay:
