@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from typing import TYPE_CHECKING, NamedTuple
 
-from rsb_bridge.feature_api import Wording
+from rsb_bridge.feature_api import Wording, plural
 from rsb_console.feature_console import side_of
 from rsb_extras.node_control.change_records import (
     LIFECYCLE_ACTIONS,
@@ -35,7 +35,7 @@ class LifecycleText(Wording):
     MAY_NOT = "no right"
     NO_ANSWER = "no answer"
     COMPONENT = "component"
-    COMPONENTS = "{count} components"
+    COMPONENTS = "{count} {noun}"
 
 
 class LifecycleRow(NamedTuple):
@@ -88,6 +88,10 @@ def rows(role: str, sides: Sequence[ManagedSide]) -> Iterator[LifecycleRow]:
             yield LifecycleRow(side.link, name, each.name, state, each.allowed, actions, nodes)
 
 
+def _components(count: int) -> str:
+    return LifecycleText.COMPONENTS(count=count, noun=plural(count, "component"))
+
+
 def _under_way(side: ManagedSide) -> dict[str, str]:
     changes = side.managed.changes
     return {each.target: f"{each.action} under way" for each in changes if not each.outcome.is_over}
@@ -109,7 +113,7 @@ def with_components(role: str, sides: Sequence[ManagedSide]) -> Iterator[Lifecyc
     for side in sides:
         under_way, name = _under_way(side), side_of(role, side.link)
         for each in side.managed.containers:
-            count = LifecycleText.COMPONENTS(count=len(each.nodes)) if each.answers else LifecycleText.NO_ANSWER()
+            count = _components(len(each.nodes)) if each.answers else LifecycleText.NO_ANSWER()
             row = LifecycleRow(side.link, name, each.name, under_way.get(each.name, count), each.allowed, ())
             is_free = each.answers and each.name not in under_way
             yield row._replace(container=each.name, of_container=("load",) if is_free else (), may_load=each.allowed)

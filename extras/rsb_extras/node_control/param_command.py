@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from msgspec.structs import asdict
 
-from rsb_bridge.config.yaml_text import dump_yaml
-from rsb_bridge.feature_api import EngineError, Wording, one_line, replace_file, typed_path, why_not_written
+from rsb_bridge.feature_api import EngineError, Wording, dump_yaml, one_line, replace_file, typed_path, why_not_written
 from rsb_console.feature_console import (
     FAILURE,
     OK,
