@@ -39,7 +39,7 @@ SIDES = (
             (ListedGroup("nav", ("/nav/planner_server", "/controller"), True),),
             (NodeChange("nav", "up", FAILED),),
             (
-                Container("/nav/container", ("/nav/planner_server", "/nav/smoother"), allowed=True),
+                Container("/nav2_container", ("/nav/planner_server", "/nav/smoother_server"), allowed=True),
                 Container("/sensors", ("/sensors/filter",)),
             ),
         ),

@@ -46,8 +46,8 @@ async def test_nodes_and_groups_are_shown_with_the_last_change(app: ConsoleApp, 
     assert "/camera this side active u w d S" in lines
     assert "/controller the server unconfigured no right" in lines
     assert "/nav/planner_server the server inactive u w a n S L" in lines, "a component, too"
-    assert "/nav/container the server 2 components l" in lines
-    assert "/nav/smoother the server component L" in lines
+    assert "/nav2_container the server 2 components l" in lines
+    assert "/nav/smoother_server the server component L" in lines
     assert "/sensors/filter the server component no right" in lines
     assert "nav the server 1 inactive, 1 unconfigured u w" in lines
     assert "esc close" in text(app)
@@ -170,16 +170,16 @@ def changed(app: ConsoleApp) -> list[tuple[Any, ...]]:
 @on_main(WIDE)
 async def test_a_component_is_loaded_after_a_form_and_a_question(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await opened(pilot)
-    await to(pilot, app, "/nav/smoother")
+    await to(pilot, app, "/nav/smoother_server")
     await pilot.press("l")
-    await notified(pilot, LifecycleScreenText.NO_CONTAINER, name="/nav/smoother")
-    await to(pilot, app, "/nav/container")
+    await notified(pilot, LifecycleScreenText.NO_CONTAINER, name="/nav/smoother_server")
+    await to(pilot, app, "/nav2_container")
     await pilot.press("l")
-    await shown(pilot, "Load into /nav/container")
+    await shown(pilot, "Load into /nav2_container")
     await pilot.press(*"nav2_route", "tab", *"nav2::Route", "tab", "tab", "tab", *"rate:=x:=y; depth")
     await shown(pilot, "depth is no rule: write name:=value")
     await pilot.press(*":=2", "tab", "tab", "tab", "enter")
-    await shown(pilot, "Load nav2::Route into /nav/container of the server?")
+    await shown(pilot, "Load nav2::Route into /nav2_container of the server?")
     await pilot.press("y")
     await until(pilot, lambda: len(changed(app)) == 1, "the change")
     ((_, _, _, values, component),) = changed(app)
@@ -190,13 +190,13 @@ async def test_a_component_is_loaded_after_a_form_and_a_question(app: ConsoleApp
 @on_main(NARROW)
 async def test_a_component_is_unloaded_after_a_question(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await opened(pilot)
-    await to(pilot, app, "/nav/smoother")
+    await to(pilot, app, "/nav/smoother_server")
     await pilot.press("L")
-    await shown(pilot, "Unload /nav/smoother of the server?")
+    await shown(pilot, "Unload /nav/smoother_server of the server?")
     await pilot.press("y")
     await until(pilot, lambda: len(changed(app)) == 1, "the change")
     ((target, action, _, _, component),) = changed(app)
-    assert (target, action, component.name) == ("/nav/container", "unload", "/nav/smoother")
+    assert (target, action, component.name) == ("/nav2_container", "unload", "/nav/smoother_server")
     await to(pilot, app, "/sensors/filter")
     await pilot.press("L")
     await notified(pilot, LifecycleScreenText.NO_RIGHT, name="/sensors", side="the server")
