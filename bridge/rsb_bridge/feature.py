@@ -440,3 +440,7 @@ class Feature:
     def link_facts(self) -> Iterable[Any]:
         """Return lines on links, each a `rsb_console.notation.link_fact.LinkFact`."""
         return ()
+
+    def route_facts(self) -> Iterable[Any]:
+        """Return lines on topics, services and the like, each a `rsb_console.notation.route_fact.RouteFact`."""
+        return ()

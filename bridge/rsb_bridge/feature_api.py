@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from rsb_bridge.config.rights import DeniedUse, Rights
     from rsb_bridge.config.session_file import SessionError, load
     from rsb_bridge.config.state_folder import state_folder
+    from rsb_bridge.config.yaml_text import dump_yaml
     from rsb_bridge.context import Context
     from rsb_bridge.control.bridges import running_bridges
     from rsb_bridge.control.control_server import ControlServer
@@ -66,6 +67,7 @@ _NAMES = {
     "rsb_bridge.config.rights": ("DeniedUse", "Rights"),
     "rsb_bridge.config.session_file": ("SessionError", "load"),
     "rsb_bridge.config.state_folder": ("state_folder",),
+    "rsb_bridge.config.yaml_text": ("dump_yaml",),
     "rsb_bridge.context": ("Context",),
     "rsb_bridge.control.bridges": ("running_bridges",),
     "rsb_bridge.control.control_server": ("ControlServer",),

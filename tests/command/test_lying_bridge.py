@@ -42,6 +42,7 @@ ASKING = [
     "record get robot1 x", "record get robot1 x --json", "record cancel ''",
     "nodes", "nodes --json", "units", "units --json", "units restart '' --yes",
     "lifecycle", "lifecycle --json", "lifecycle up '' --yes",
+    "component list", "component list --json", "component load '' a a::B --yes", "component unload '' '' --yes",
     "param list", "param list --json", "param list /n --link robot1", "param list /n --link robot1 --json",
     "param get /n '' --link robot1", "param describe /n --link robot1", "param set /n '' 1 --link robot1 --yes",
     "param dump /n --link robot1",
@@ -140,6 +141,6 @@ def _may_change(line: str) -> set[str]:
 def test_no_command_is_forgotten() -> None:
     known = {line.split()[0] for line in ASKING} | ASKS_NOBODY | HAS_A_SCREEN | ASKS_OFTEN
     assert known == {*subcommands_of(parser_and_commands()[0])}
-    for group in ("client", "param"):
+    for group in ("client", "param", "component"):
         named = {line.split()[1] for line in ASKING if line.startswith(f"{group} ")}
         assert named == {*subcommands_of(subcommands_of(parser_and_commands()[0])[group])}

@@ -474,6 +474,9 @@ NEEDED = {
     "param dump": "/n",
     "param diff": "/n a.yaml",
     "param load": "/n a.yaml",
+    "component list": "",
+    "component load": "/n a a::B",
+    "component unload": "/n /a",
 }
 """The arguments that commands need."""
 ALONE = ("status", "topics", "retry", "restart", "reload", "save", "events", "stop")

@@ -6,7 +6,20 @@ from typing import Any
 
 import msgspec
 import pytest
-from tests.console.driving import AppSteps, engine_of, fill, form_of, gone, listed, on_main, put, shown, text, until
+from tests.console.driving import (
+    NARROW,
+    AppSteps,
+    engine_of,
+    fill,
+    form_of,
+    gone,
+    listed,
+    on_main,
+    put,
+    shown,
+    text,
+    until,
+)
 from tests.console.scripted import LINK, SESSION, refused, route
 from textual.pilot import Pilot
 
@@ -127,6 +140,15 @@ async def test_the_topics_of_a_robot_stand_together(app: ConsoleApp, pilot: Pilo
     await shown(pilot, "Topics by robot")
     await pilot.press("B")
     await until(pilot, lambda: listed(app)[:2] == ["/a/2", "/b/2"], "none")
+
+
+@on_main(NARROW)
+async def test_page_of_a_link_with_many_facts_keeps_its_keys(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    down = replace(LINK, state=State.DOWN, reason="the server does not answer " * 12, next_fingerprint="1 2 3 4")
+    put(app, *(route(f"/{number}", link="robot1") for number in range(20)), links=(down,))
+    await pilot.press("c", "enter")
+    await shown(pilot, "Link robot1")
+    await until(pilot, lambda: "esc close" in text(app) and "next key" in text(app), "the keys")
 
 
 @on_main()

@@ -32,6 +32,7 @@ TAKEN = (
     ("messages", "ping"),
     ("columns", "AGE"),
     ("link_facts", "peer"),
+    ("route_facts", "Rate"),
     ("console_settings", "theme"),
     ("transport_traits", "tcp"),
     ("actions", "help"),
@@ -107,6 +108,11 @@ class Greedy(Feature):
         from rsb_console.notation.link_fact import LinkFact
 
         return (LinkFact("peer", lambda _: ("nothing",)),)
+
+    def route_facts(self) -> Iterable[Any]:
+        from rsb_console.notation.route_fact import RouteFact
+
+        return (RouteFact("Rate", lambda _: "nothing"),)
 
     def checks(self) -> Iterable[Any]:
         from rsb_bridge.model.finding import Check

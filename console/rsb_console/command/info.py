@@ -11,6 +11,7 @@ from rsb_console.command.figures import measured
 from rsb_console.command.formatting import clock, link_word, links_of, route_of, without_peer
 from rsb_console.command.target import attached, chosen_route, done, other_side
 from rsb_console.notation import formats
+from rsb_console.notation.route_fact import facts_of
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -100,6 +101,8 @@ def _lines(
         towards = "calls go to" if route.outgoing else "calls come from"
     yield f"Direction: {towards} {other}, where it is {route.remote_topic} ({route.spec.direction} for the client)"
     yield f"Carried by: {', '.join(_carriers(route))}"
+    for label, text in facts_of(route):
+        yield f"{label}: {text}"
     if link is not None:
         yield f"Link: {', '.join(_link_parts(link))}"
     yield from _ends(route)

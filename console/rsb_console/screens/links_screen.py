@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 
 HEADING = f" {'STATE':<8}{'NAME':<12}{'SINCE':>9}{'RTT':>8}{'CLOCK':>10}{'TOPICS':>7}{'RX':>9}{'TX':>9}  KEY"
 _NAMED = 3  # links in a question; the others are counted
+_AROUND = 7  # rows of the page of a link around its facts and its topics
 LABEL = 15  # cells of a figure's name
 CLIENT_KEYS = "a add a client   d remove it   "
 
@@ -192,7 +193,8 @@ class LinkScreen(ModalScreen[None]):
         routes = tuple(route for route in now.routes if route.link == self._link)
         self.topics.show(replace(now, routes=routes, links=(link,)))
         self.topics.explain("Nothing is bridged over this link.")
-        self.topics.styles.height = min(self.topics.line_count + 1, max(3, self.size.height // 2))
+        room = self.size.height - self.detail.line_count - _AROUND
+        self.topics.styles.height = min(self.topics.line_count + 1, max(3, room))
 
 
 async def lets_back(console: Console, app: App[Any], links: Iterable[LinkSnapshot]) -> bool:

@@ -24,6 +24,7 @@ from rsb_console.notation.glyphs import (
     UNKNOWN,
     braille_plot,
 )
+from rsb_console.notation.route_fact import facts_of
 from rsb_console.widgets.lines import FixedLines, Line, fit, width_of
 from rsb_console.widgets.topics import carries, present_rate
 
@@ -369,6 +370,8 @@ def _crossing(page: _Page, route: RouteSnapshot, way: str) -> None:
         page.add((f"   there: {route.remote_topic}", "dim"))
     if route.pattern:
         page.add((f"   matches {route.pattern}", "dim"))
+    for _, text in facts_of(route):
+        page.text(text, "dim")
 
 
 def _stages(page: _Page, route: RouteSnapshot, question: str, nothing: str) -> None:

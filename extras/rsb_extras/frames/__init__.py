@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from rsb_bridge.feature_api import EntryKey, Feature, SessionKey
+import msgspec
+
+from rsb_bridge.feature_api import EntryKey, Feature, SessionKey, ShownField
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from rsb_bridge.feature_api import Bridge, EnginePart, Extension, Link
+    from rsb_console.feature_console import RouteFact
 
 LINK_PREFIX = SessionKey("frame_prefix", str, "", live=True, of_peer=True)
 """Of all topics that come in over a link, unless an entry has its own."""
@@ -23,6 +26,21 @@ PREFIX: EntryKey[str | None] = EntryKey(
 RESTAMP: EntryKey[bool | None] = EntryKey(
     "restamp", bool, None, "Restamp", "Shift the stamps of what comes in to this machine's clock.", kinds="topics"
 )
+
+
+class Rewriting(msgspec.Struct, frozen=True, omit_defaults=True):
+    """The changes to what comes in on a topic.
+
+    Attributes:
+        prefix: before frames, or empty.
+        restamps: whether stamps are shifted now.
+    """
+
+    prefix: str = ""
+    restamps: bool = False
+
+
+REWRITTEN: ShownField[Rewriting] = ShownField("rewritten", Rewriting, Rewriting())
 
 
 class FramesFeature(Feature):
@@ -58,6 +76,11 @@ class FramesFeature(Feature):
         from rsb_extras.frames.link_frames import FramesPart  # noqa: PLC0415
 
         return (FramesPart(),)
+
+    def route_facts(self) -> Iterable[RouteFact]:
+        from rsb_extras.frames.frame_lines import FACT  # noqa: PLC0415
+
+        return (FACT,)
 
 
 FEATURE = FramesFeature()

@@ -20,11 +20,11 @@ from rsb_bridge.feature_api import (
     Verdict,
     Wording,
 )
-from rsb_extras.frames import LINK_PREFIX, LINK_RESTAMP, PREFIX, RESTAMP, RESTAMP_WITHIN
+from rsb_extras.frames import LINK_PREFIX, LINK_RESTAMP, PREFIX, RESTAMP, RESTAMP_WITHIN, REWRITTEN, Rewriting
 from rsb_extras.frames.message_rewriter import Rewriter, UnknownTypeError, compile_plan
 
 if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable, Iterator
+    from collections.abc import Awaitable, Callable, Iterator, Mapping
 
     from rsb_bridge.feature_api import Link, Route
     from rsb_extras.frames.message_rewriter import RewritePlan
@@ -111,7 +111,7 @@ class FrameTransform(MessageTransform):
     """Rewrites one topic's messages."""
 
     def __init__(self, link: Link, plan: RewritePlan, wish: _Wish, type_hash: str, stamps: StampShift) -> None:
-        self.restamps = wish.restamp
+        self.restamps, self.prefix = wish.restamp, wish.prefix
         self._same = wish, type_hash
         self._link, self._stamps = link, stamps
         self._rewriter = Rewriter(plan, wish.prefix)
@@ -193,6 +193,12 @@ class LinkFrames(Extension):
     def _transform(self, route: Route) -> Callable[[], Awaitable[MessageTransform | None]] | None:
         wish = self._wish(route)
         return partial(self._find, route, wish) if any(wish) else None
+
+    def route_fields(self, route: Route) -> Mapping[str, Rewriting]:
+        for each in route.half.path.transforms if isinstance(route.half, Receiver) else ():
+            if isinstance(each, FrameTransform):
+                return {REWRITTEN.name: Rewriting(each.prefix, each.corrects_stamps)}
+        return {}
 
     async def _find(self, route: Route, wish: _Wish) -> MessageTransform | None:
         type_hash = route.half.carried.type_hash

@@ -1,4 +1,4 @@
-"""Node control: operators of either side change lifecycle states and parameters of a robot's nodes."""
+"""Node control: operators of either side change lifecycles, components and parameters of a robot's nodes."""
 
 from __future__ import annotations
 
@@ -66,10 +66,12 @@ class NodeControl(Feature):
         return (ChangesPart(bridge),)
 
     def subcommands(self, add: AddCommand, complete: Complete) -> None:
+        from rsb_extras.node_control.component_arguments import add_component  # noqa: PLC0415
         from rsb_extras.node_control.lifecycle_arguments import add_lifecycle  # noqa: PLC0415
         from rsb_extras.node_control.param_arguments import add_param  # noqa: PLC0415
 
         add_lifecycle(add, complete)
+        add_component(add, complete)
         add_param(add, complete)
 
     def actions(self) -> Iterable[Action]:
@@ -80,8 +82,8 @@ class NodeControl(Feature):
         screen = "rsb_extras.node_control.lifecycle_screen"
         return (
             Action(
-                "lifecycle", "X", "lifecycle", "Show managed nodes and groups of both sides; change their states",
-                Group.OPERATE, also="configure activate deactivate cleanup shutdown bring up down nav2",
+                "lifecycle", "X", "lifecycle", "Show managed nodes, groups and containers; change them",
+                Group.OPERATE, also="configure activate deactivate cleanup shutdown up down nav2 component load",
                 run=late(f"{screen}:show_lifecycle"), chapters=CHAPTERS,
                 on_node=OnNode("x", "x lifecycle", late(f"{screen}:lifecycle_of_node")),
             ),

@@ -14,6 +14,9 @@ MOST_GROUPS, MOST_OF_GROUP = 16, 32
 """Of a session, and nodes of one. Round figures: Nav2 manages 12."""
 MOST_MANAGED = 64
 """Managed nodes in a list. A round figure, five times as many as Nav2 has."""
+MOST_CONTAINERS, MOST_COMPONENTS = 16, 64
+"""In a list, and nodes of one container. Round figures: Nav2's one container has 12."""
+MOST_REMAPS = 32
 MOST_STEPS = 2 * MOST_OF_GROUP
 MOST_CHANGES = 12
 """In a list: a third of this side's, of other sides', and of those that have ended. A round figure."""
@@ -22,8 +25,10 @@ NODE_NAME = re.compile(r"/[A-Za-z0-9_/]{1,254}")
 
 Transition: TypeAlias = Literal["configure", "activate", "deactivate", "cleanup", "shutdown"]
 LifecycleAction: TypeAlias = Literal["up", "down", "configure", "activate", "deactivate", "cleanup", "shutdown"]
-ChangeAction: TypeAlias = Literal[LifecycleAction, "set"]
-"""What a change does: with the states of nodes, or with the parameters of one."""
+ComponentAction: TypeAlias = Literal["load", "unload"]
+ChangeAction: TypeAlias = Literal[LifecycleAction, ComponentAction, "set"]
+"""What a change does: with the states of nodes, the components of a container, or the parameters of a node."""
+COMPONENT_ACTIONS: tuple[ComponentAction, ...] = get_args(ComponentAction)
 Target: TypeAlias = Annotated[str, Meta(min_length=1, max_length=255, pattern=r"\A[A-Za-z0-9_/-]*\Z")]
 """A node's full name, or a group's, which has no slash."""
 StateName: TypeAlias = Annotated[str, Meta(max_length=32, pattern=PRINTABLE)]
@@ -59,11 +64,40 @@ class ListedGroup(msgspec.Struct, frozen=True, omit_defaults=True):
     allowed: bool = False
 
 
-class ChangeStep(msgspec.Struct, frozen=True, omit_defaults=True):
-    """One node's answer to one transition.
+class Container(msgspec.Struct, frozen=True, omit_defaults=True):
+    """A node that loads components, and their nodes, by full names."""
+
+    name: Target
+    nodes: Annotated[tuple[Target, ...], Meta(max_length=MOST_COMPONENTS)] = ()
+    answers: bool = True
+    allowed: bool = False
+
+
+class Component(msgspec.Struct, frozen=True, omit_defaults=True):
+    """A component that a container loads; one that it unloads has its node's full name only.
 
     Attributes:
-        what: the transition, or "set" for parameters.
+        name, namespace: of its node, or empty for its own.
+        remaps: names, as ``from:=to``.
+        intra_process: whether it hands messages to others of the container directly.
+    """
+
+    package: Name = ""
+    plugin: Name = ""
+    name: Name = ""
+    namespace: Name = ""
+    remaps: Annotated[tuple[Name, ...], Meta(max_length=MOST_REMAPS)] = ()
+    intra_process: bool = False
+
+
+NO_COMPONENT = Component()
+
+
+class ChangeStep(msgspec.Struct, frozen=True, omit_defaults=True):
+    """One node's answer to one step of a change.
+
+    Attributes:
+        what: the transition, "set" for parameters, "load" or "unload".
         state: afterwards, or empty if unknown.
         reason: why it is not done, for an operator, or empty.
         seconds: until the answer.
@@ -106,15 +140,16 @@ class NodeChange(msgspec.Struct, frozen=True, omit_defaults=True):
 
 
 class Managed(msgspec.Struct, frozen=True, omit_defaults=True):
-    """The managed nodes and groups of one side, and what is or was done with them, the newest last."""
+    """The managed nodes, groups and containers of one side, and what is or was done with them, the newest last."""
 
     nodes: Annotated[tuple[ManagedNode, ...], Meta(max_length=MOST_MANAGED)] = ()
     groups: Annotated[tuple[ListedGroup, ...], Meta(max_length=MOST_GROUPS)] = ()
     changes: Annotated[tuple[NodeChange, ...], Meta(max_length=MOST_CHANGES)] = ()
+    containers: Annotated[tuple[Container, ...], Meta(max_length=MOST_CONTAINERS)] = ()
 
     @property
     def targets(self) -> tuple[ListedGroup | ManagedNode, ...]:
-        """All that can be changed."""
+        """All whose states can be changed."""
         return *self.groups, *self.nodes
 
 

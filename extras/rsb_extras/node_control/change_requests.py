@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 
 from rsb_bridge.feature_api import Command, Effect, Name, Reason, Right
-from rsb_extras.node_control.change_records import ChangeAction, ChangeOutcome, Managed
+from rsb_extras.node_control.change_records import NO_COMPONENT, ChangeAction, ChangeOutcome, Component, Managed
 from rsb_extras.node_control.parameter_records import NewValues
 
 TICKET_WITHIN = 10.0
@@ -41,11 +41,12 @@ class ListManaged(Command[tuple[ManagedSide, ...]], frozen=True, tag="list_manag
 
 
 class ChangeNodes(Command[ChangeOutcome], frozen=True, tag="change_nodes"):
-    """Change the states of a node, or of a group's nodes in order, or a node's parameters, and wait for the end.
+    """Change the states of a node or of a group's nodes, a node's parameters, or a container; wait for the end.
 
     Attributes:
         link: whose other side has it, or empty for this side.
-        values: to be set, if that is the action: all of them, or none.
+        values: to be set, if that is the action: all of them, or none; those of a component that is loaded.
+        component: to be loaded or unloaded.
     """
 
     always = Effect.MOVES | Effect.LOSES
@@ -54,3 +55,4 @@ class ChangeNodes(Command[ChangeOutcome], frozen=True, tag="change_nodes"):
     action: ChangeAction
     link: str = ""
     values: NewValues = ()
+    component: Component = NO_COMPONENT

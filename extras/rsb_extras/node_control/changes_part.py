@@ -10,10 +10,16 @@ from rsb_bridge.feature_api import EnginePart, Level, LinkError, link_named, one
 from rsb_extras.node_control import GROUPS
 from rsb_extras.node_control.change_records import GROUP_NAME, NODE_NAME, ChangeText, Managed
 from rsb_extras.node_control.change_requests import ChangeNodes, ListManaged, ManagedSide
-from rsb_extras.node_control.link_changes import LinkChanges
-from rsb_extras.node_control.node_changer import ChangeAsker, ChangeCode, ChangeProblem, NodeChanger
-from rsb_extras.node_control.parameter_nodes import is_settable, named, read_pages
-from rsb_extras.node_control.parameter_records import LARGEST_CHANGE, MOST_SET, AskParameters
+from rsb_extras.node_control.link_changes import LinkChanges, LinkChangesProblem
+from rsb_extras.node_control.node_changer import (
+    ChangeAsker,
+    ChangeCode,
+    NodeChanger,
+    in_words,
+    malformed,
+)
+from rsb_extras.node_control.parameter_nodes import read_pages
+from rsb_extras.node_control.parameter_records import AskParameters
 from rsb_extras.node_control.parameter_requests import ListParameterNodes, ParameterSide, ReadParameters
 
 if TYPE_CHECKING:
@@ -50,6 +56,8 @@ class ChangesPart(EnginePart):
         return ManagedSide(managed=await self._changer.managed(ChangeAsker(operator())))
 
     async def _of_link(self, link: Link) -> ManagedSide:
+        if not link.linked:
+            return ManagedSide(link.name, problem=sanitize_text(LinkChangesProblem.AWAY(reason=link.down_reason)))
         try:
             return ManagedSide(link.name, await link.extensions.find(LinkChanges).managed())
         except LinkError as error:
@@ -82,18 +90,19 @@ class ChangesPart(EnginePart):
         target, action = command.target, command.action
         _check_target(target)
         if not command.link:
-            return await self._changer.run(target, action, ChangeAsker(operator()), command.values)
+            asker = ChangeAsker(operator())
+            return await self._changer.run(target, action, asker, command.values, command.component)
         link = link_named(command.link, self._bridge.links())
-        if action == "set" and not is_settable(command.values):
-            raise LinkError(ChangeProblem.NO_VALUES(most=MOST_SET, size=LARGEST_CHANGE))
+        if problem := malformed(target, action, command.values, command.component):
+            raise LinkError(problem)
         what, log = f"{target} of {link.name}", self._bridge.log
         log.add(
             ChangeCode.BEGAN,
-            f"{what}: {f'set {named(command.values)}' if command.values else action} asked for",
+            f"{what}: {in_words(action, command.values, command.component)} asked for",
             link=link.name,
         )
         try:
-            outcome = await link.extensions.find(LinkChanges).run(target, action, command.values)
+            outcome = await link.extensions.find(LinkChanges).run(target, action, command.values, command.component)
         except LinkError as error:
             log.add(ChangeCode.FAILED, f"{what}: {action}: {error}, asked for", level=Level.WARNING, link=link.name)
             raise

@@ -38,6 +38,7 @@ CHAPTERS = (
             ("c a", "Configure, activate"),
             ("d n", "Deactivate, clean up"),
             ("S", "Shut down for good"),
+            ("l L", "Of containers: load a component, unload the one under the cursor"),
             ("esc", "Close"),
         ),
     ),

@@ -59,7 +59,7 @@ def _list(engine: RemoteEngine, arguments: Namespace, sides: Sequence[ManagedSid
     role = engine.bridge.role
     problems = [side for side in sides if side.problem]
     if arguments.link and problems:
-        raise EngineError(problems[0].problem)
+        raise EngineError(LifecycleText.PROBLEM(side=arguments.link, problem=problems[0].problem))
     if arguments.json:
         nodes = [{"link": side.link} | asdict(each) for side in sides for each in side.managed.nodes]
         groups = [{"link": side.link} | asdict(each) for side in sides for each in side.managed.groups]

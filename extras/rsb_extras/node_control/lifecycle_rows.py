@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections import Counter
 from typing import TYPE_CHECKING, NamedTuple
 
-from rsb_bridge.feature_api import Wording
+from rsb_bridge.feature_api import Wording, plural
 from rsb_console.feature_console import side_of
 from rsb_extras.node_control.change_records import (
     LIFECYCLE_ACTIONS,
     ChangeAction,
     ChangeOutcome,
+    ComponentAction,
     LifecycleAction,
     ListedGroup,
 )
@@ -27,21 +28,26 @@ _OF_GROUPS: tuple[LifecycleAction, ...] = "up", "down"
 
 
 class LifecycleText(Wording):
-    NONE = "neither side has managed nodes, or lists groups in its session file"
+    NONE = "neither side has managed nodes or containers, or lists groups in its session file"
     ASK = "{action} {target} of {side}?"
     ENDED = "{target} of {side}: {text}"
     PROBLEM = "{side}: {problem}"
     MAY_NOT = "no right"
     NO_ANSWER = "no answer"
+    COMPONENT = "component"
+    COMPONENTS = "{count} {noun}"
 
 
 class LifecycleRow(NamedTuple):
-    """A group, or a managed node, of one side.
+    """A group, a managed node, a container or a component of one side.
 
     Attributes:
         link: the link to it, or empty for this side.
         state: in words.
         actions: those that are possible now.
+        container: the one in which a component is, or that it is itself, or empty.
+        of_container: what is possible there.
+        may_load: whether the container may be changed.
     """
 
     link: str
@@ -51,6 +57,9 @@ class LifecycleRow(NamedTuple):
     allowed: bool
     actions: tuple[LifecycleAction, ...]
     nodes: tuple[str, ...] = ()
+    container: str = ""
+    of_container: tuple[ComponentAction, ...] = ()
+    may_load: bool = False
 
     @property
     def key(self) -> str:
@@ -67,7 +76,7 @@ def rows(role: str, sides: Sequence[ManagedSide]) -> Iterator[LifecycleRow]:
     for side in sides:
         managed, name = side.managed, side_of(role, side.link)
         known = {node.name: node for node in managed.nodes}
-        under_way = {each.target: each for each in managed.changes if not each.outcome.is_over}
+        under_way = _under_way(side)
         for each in managed.targets:
             nodes: tuple[str, ...] = ()
             if isinstance(each, ListedGroup):
@@ -75,8 +84,43 @@ def rows(role: str, sides: Sequence[ManagedSide]) -> Iterator[LifecycleRow]:
             else:
                 state, actions = each.state or LifecycleText.NO_ANSWER(), _possible(each.offers)
             if each.name in under_way:
-                state, actions = f"{under_way[each.name].action} under way", ()
+                state, actions = under_way[each.name], ()
             yield LifecycleRow(side.link, name, each.name, state, each.allowed, actions, nodes)
+
+
+def _components(count: int) -> str:
+    return LifecycleText.COMPONENTS(count=count, noun=plural(count, "component"))
+
+
+def _under_way(side: ManagedSide) -> dict[str, str]:
+    changes = side.managed.changes
+    return {each.target: f"{each.action} under way" for each in changes if not each.outcome.is_over}
+
+
+def with_components(role: str, sides: Sequence[ManagedSide]) -> Iterator[LifecycleRow]:
+    """Yield the same rows, and those of containers and of components, which may be managed nodes, too."""
+    of_node = {
+        (side.link, node): each for side in sides for each in side.managed.containers for node in each.nodes
+    }  # fmt: skip
+    seen = set[tuple[str, str]]()
+    for row in rows(role, sides):
+        seen.add((row.link, row.name))
+        container = of_node.get((row.link, row.name))
+        if container is None:
+            yield row
+        else:
+            yield row._replace(container=container.name, of_container=("unload",), may_load=container.allowed)
+    for side in sides:
+        under_way, name = _under_way(side), side_of(role, side.link)
+        for each in side.managed.containers:
+            count = _components(len(each.nodes)) if each.answers else LifecycleText.NO_ANSWER()
+            row = LifecycleRow(side.link, name, each.name, under_way.get(each.name, count), each.allowed, ())
+            is_free = each.answers and each.name not in under_way
+            yield row._replace(container=each.name, of_container=("load",) if is_free else (), may_load=each.allowed)
+            for node in each.nodes:
+                if (side.link, node) not in seen:
+                    row = LifecycleRow(side.link, name, node, LifecycleText.COMPONENT(), each.allowed, ())
+                    yield row._replace(container=each.name, of_container=("unload",), may_load=each.allowed)
 
 
 def _possible(offers: Sequence[str]) -> tuple[LifecycleAction, ...]:

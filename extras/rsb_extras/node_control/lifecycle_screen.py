@@ -1,4 +1,4 @@
-"""Managed nodes and groups of both sides on a screen, with a key for each change, and the steps of the last one."""
+"""Managed nodes, groups and containers of both sides, with a key for each change, and the steps of the last one."""
 
 from __future__ import annotations
 
@@ -20,9 +20,10 @@ from rsb_console.feature_console import (
     asked_link,
     wrapped,
 )
-from rsb_extras.node_control.change_records import GOALS, ChangeText
+from rsb_extras.node_control.change_records import GOALS, ChangeText, Component
 from rsb_extras.node_control.change_requests import ChangeNodes, ListManaged
-from rsb_extras.node_control.lifecycle_rows import NOTHING, LifecycleRow, LifecycleText, outcomes, rows
+from rsb_extras.node_control.component_form import ComponentForm
+from rsb_extras.node_control.lifecycle_rows import NOTHING, LifecycleRow, LifecycleText, outcomes, with_components
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -31,16 +32,24 @@ if TYPE_CHECKING:
 
     from rsb_bridge.feature_api import EngineApi
     from rsb_console.feature_console import Console, Line, MainScreen
-    from rsb_extras.node_control.change_records import ChangeAction, ChangeOutcome, LifecycleAction
+    from rsb_extras.node_control.change_records import (
+        ChangeAction,
+        ChangeOutcome,
+        ComponentAction,
+        LifecycleAction,
+    )
     from rsb_extras.node_control.change_requests import ManagedSide
 
 _LOOKS = {"active": "ok", "inactive": "waiting", "unconfigured": "waiting", "finalized": "down"}
 _INDENT = "    "  # below a step
 _WIDTH = 76  # cells, until the screen is laid out
-HELP = "u up   w down   c configure   a activate   d deactivate   n clean up   S shut down   esc close"
+HELP = (
+    "u up   w down   c configure   a activate   d deactivate   n clean up   S shut down   l load   L unload   esc close"
+)
 _KEYS: dict[str, LifecycleAction] = {
     "u": "up", "w": "down", "c": "configure", "a": "activate", "d": "deactivate", "n": "cleanup", "S": "shutdown",
 }  # fmt: skip
+_OF_CONTAINER: dict[str, ComponentAction] = {"l": "load", "L": "unload"}
 
 
 class LifecycleScreenText(Wording):
@@ -50,6 +59,12 @@ class LifecycleScreenText(Wording):
     RISES = "{nodes} will be {goal}. What is driven may move: nobody may be in its way."
     FALLS = "{nodes} will be {goal}. What is driven has to be safe without."
     WAIT = "{name}: {action} is under way: wait until that is over"
+    NO_CONTAINER = "{name} is no container: l loads into one"
+    NO_COMPONENT = "{name} is no component of a container: L unloads one"
+    LOAD = "Load {what} into {name} of {side}?"
+    LOADS = "Its node runs in the container's process, and ends with it. What it drives may move."
+    UNLOAD = "Unload {name} of {side}?"
+    UNLOADS = "Its node in {container} ends. What is driven has to be safe without."
 
 
 class LifecycleTable(CellTable[LifecycleRow]):
@@ -68,7 +83,10 @@ class LifecycleScreen(SidesScreen["ManagedSide"]):
         node: on which the cursor is to be, or empty.
     """
 
-    BINDINGS: ClassVar = [Binding(key, f"change({action!r})", show=False) for key, action in _KEYS.items()]
+    BINDINGS: ClassVar = [
+        *(Binding(key, f"change({action!r})", show=False) for key, action in _KEYS.items()),
+        *(Binding(key, action, show=False) for key, action in _OF_CONTAINER.items()),
+    ]
     AUTO_FOCUS = "#lifecycle"
     EVERY = 1.0  # the bridges look at the nodes as often
     DEFAULT_CSS = """
@@ -90,7 +108,7 @@ class LifecycleScreen(SidesScreen["ManagedSide"]):
 
     def show(self, sides: Sequence[ManagedSide]) -> None:
         role, self._sides = self.console.snapshot().role, sides
-        self.table.show(list(rows(role, sides)))
+        self.table.show(list(with_components(role, sides)))
         if self._wanted in self.table.keys:
             self.table.move_to(self.table.keys.index(self._wanted))
             self._wanted = ""
@@ -99,12 +117,17 @@ class LifecycleScreen(SidesScreen["ManagedSide"]):
 
     def show_steps(self) -> None:
         row = self.table.selected
-        last = None if row is None else outcomes(self._sides).get(row.key)
+        last = None if row is None else self._last(row)
         lines = [] if row is None or last is None else [*_lines(row, *last, self.table.size.width or _WIDTH)]
         grows = last is not None and not last[1].is_over and len(lines) > self.steps.line_count
         self.steps.put(lines)
         if grows:
             self.call_after_refresh(self.steps.scroll_end, animate=False)
+
+    def _last(self, row: LifecycleRow) -> tuple[ChangeAction, ChangeOutcome] | None:
+        """Return the last change of a row, or of the container of a component that is no managed node."""
+        found = outcomes(self._sides)
+        return found.get(row.key) or found.get(f"{row.link} {row.container}")
 
     def on_selectable_list_cursor_moved(self) -> None:
         self.show_steps()
@@ -113,37 +136,76 @@ class LifecycleScreen(SidesScreen["ManagedSide"]):
         row = self.table.selected
         if row is None or not self.table.is_seen():
             return
-        last = outcomes(self._sides).get(row.key)
-        if self.console.readonly:
-            self.warn(LifecycleScreenText.READ_ONLY())
-        elif last is not None and not last[1].is_over:
-            self.warn(LifecycleScreenText.WAIT(name=row.name, action=last[0]))
-        elif not row.allowed:
-            self.warn(LifecycleScreenText.NO_RIGHT(name=row.name, side=row.side))
+        if problem := self._why_not(row, row.name, allowed=row.allowed):
+            self.warn(problem)
         elif not row.nodes and action not in ("up", "down", *row.actions):
             offers = ", ".join(row.actions) or "nothing"
             self.warn(LifecycleScreenText.NOT_OFFERED(name=row.name, state=row.state, offers=offers))
         else:
             self.run_worker(self._ask(row, action), group=DIALOG)
 
+    def _why_not(self, row: LifecycleRow, name: str, *, allowed: bool) -> str:
+        """Return the reason why a row cannot be changed now, by the right to a node, or an empty string."""
+        last = self._last(row)
+        if self.console.readonly:
+            return LifecycleScreenText.READ_ONLY()
+        if last is not None and not last[1].is_over:
+            return LifecycleScreenText.WAIT(name=row.name, action=last[0])
+        return "" if allowed else LifecycleScreenText.NO_RIGHT(name=name, side=row.side)
+
+    def action_load(self) -> None:
+        self._change_container("load", LifecycleScreenText.NO_CONTAINER)
+
+    def action_unload(self) -> None:
+        self._change_container("unload", LifecycleScreenText.NO_COMPONENT)
+
+    def _change_container(self, action: ComponentAction, impossible: LifecycleScreenText) -> None:
+        row = self.table.selected
+        if row is None or not self.table.is_seen():
+            return
+        if not row.container or (row.container == row.name) is not (action == "load"):
+            self.warn(impossible(name=row.name))
+        elif problem := self._why_not(row, row.container, allowed=row.may_load):
+            self.warn(problem)
+        else:
+            self.run_worker((self._load if action == "load" else self._unload)(row), group=DIALOG)
+
+    async def _load(self, row: LifecycleRow) -> None:
+        loaded = await self.console.ask(ComponentForm(row.name))
+        if loaded is None:
+            return
+        component, values = loaded
+        title = LifecycleScreenText.LOAD(what=component.plugin, name=row.name, side=row.side)
+        command = ChangeNodes(row.name, "load", row.link, values, component)
+        await self._confirm(title, LifecycleScreenText.LOADS(), row, command)
+
+    async def _unload(self, row: LifecycleRow) -> None:
+        title = LifecycleScreenText.UNLOAD(name=row.name, side=row.side)
+        means = LifecycleScreenText.UNLOADS(container=row.container)
+        command = ChangeNodes(row.container, "unload", row.link, component=Component(name=row.name))
+        await self._confirm(title, means, row, command)
+
     async def _ask(self, row: LifecycleRow, action: LifecycleAction) -> None:
         title = LifecycleText.ASK(action=action.capitalize(), target=row.name, side=row.side)
         text = LifecycleScreenText.RISES if action in ("up", "configure", "activate") else LifecycleScreenText.FALLS
         means = text(nodes=", ".join(row.nodes) or row.name, goal=GOALS[action])
-        question = ConfirmScreen(title, means, action.capitalize(), Effect.MOVES | Effect.LOSES)
+        await self._confirm(title, means, row, ChangeNodes(row.name, action, row.link))
+
+    async def _confirm(self, title: str, means: str, row: LifecycleRow, command: ChangeNodes) -> None:
+        question = ConfirmScreen(title, means, command.action.capitalize(), Effect.MOVES | Effect.LOSES)
         if await self.console.ask(question) is True and (engine := self.console.engine) is not None:
             # Not in this worker, for which keys wait, nor of this screen, which may be closed before the end.
-            self.app.run_worker(_change(self, engine, row, action), group="node-changes")
+            self.app.run_worker(_change(self, engine, row, command), group="node-changes")
 
 
-async def _change(screen: LifecycleScreen, engine: EngineApi, row: LifecycleRow, action: LifecycleAction) -> None:
+async def _change(screen: LifecycleScreen, engine: EngineApi, row: LifecycleRow, command: ChangeNodes) -> None:
     """Wait for the end of a change. Its steps stand below the list; without that, a message says how it has ended."""
     try:
-        outcome = await asyncio.wrap_future(engine.do(ChangeNodes(row.name, action, row.link)))
+        outcome = await asyncio.wrap_future(engine.do(command))
     except EngineError as error:
         text, is_done, is_shown = str(error), False, False
     else:
-        text, is_done = _ended(row, ChangeText.of(action, outcome)), outcome.done
+        text, is_done = _ended(row, ChangeText.of(command.action, outcome)), outcome.done
         is_shown = screen.is_attached and not outcome.refused
     if screen.is_attached:
         screen.renew()
@@ -172,10 +234,12 @@ def _lines(row: LifecycleRow, action: ChangeAction, outcome: ChangeOutcome, widt
 
 def _keys_of(row: LifecycleRow) -> str:
     """Return the keys that do something to a row now."""
-    if not row.allowed:
+    if not (row.allowed or row.may_load):
         return LifecycleText.MAY_NOT()
-    possible = {*row.actions, "up", "down"} if row.actions else {}
-    return " ".join(key for key, action in _KEYS.items() if action in possible) or NOTHING
+    possible: set[str] = {*row.actions, "up", "down"} if row.actions and row.allowed else set()
+    if row.may_load:
+        possible |= {*row.of_container}
+    return " ".join(key for key, action in (_KEYS | _OF_CONTAINER).items() if action in possible) or NOTHING
 
 
 async def show_lifecycle(screen: MainScreen) -> None:

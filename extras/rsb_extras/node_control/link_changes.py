@@ -25,7 +25,7 @@ from rsb_bridge.feature_api import (
     operator,
     sanitize_text,
 )
-from rsb_extras.node_control.change_records import ChangeAction, ChangeOutcome, Managed, Target
+from rsb_extras.node_control.change_records import NO_COMPONENT, ChangeAction, ChangeOutcome, Component, Managed, Target
 from rsb_extras.node_control.change_requests import LONGEST, TICKET_WITHIN
 from rsb_extras.node_control.node_changer import STARTS, STARTS_WITHIN, ChangeAsker, ChangeProblem, NodeChanger
 from rsb_extras.node_control.parameter_records import AskParameters, NewValues, ParametersAnswer
@@ -72,7 +72,8 @@ class RunChange(ControlMessageBase, frozen=True, omit_defaults=True):
     Attributes:
         who: the operator, as the asking side says.
         again: whether it was asked for on another connection already.
-        values: parameters to be set, if that is the action.
+        values: parameters to be set, if that is the action, or of a component that is loaded.
+        component: to be loaded or unloaded.
     """
 
     ticket: Count
@@ -81,6 +82,7 @@ class RunChange(ControlMessageBase, frozen=True, omit_defaults=True):
     who: Name = ""
     again: bool = False
     values: NewValues = ()
+    component: Component = NO_COMPONENT
 
 
 class ChangeEnded(ControlMessageBase, frozen=True):
@@ -91,8 +93,9 @@ class ChangeEnded(ControlMessageBase, frozen=True):
 
 
 class LinkChangesProblem(Wording):
+    AWAY = "not linked: {reason}"
     NOT_LINKED = "{link} is not linked: {reason}"
-    NOT_THERE = "the installation of {link} has no node_control: install all of rsb-console there"
+    NOT_THERE = "the other side's installation has no node_control: install all of rsb-console there"
     SILENT = "{link} did not answer: look at the nodes' states before you ask again"
     TWICE = "{link} gave the ticket of another change, and nothing was done: ask again once that change is over"
     TOO_LATE = "the request came too late, and nothing was done: ask again"
@@ -195,7 +198,8 @@ class LinkChanges(Extension):
 
     def _begin(self, ask: RunChange) -> asyncio.Task[ChangeOutcome]:
         asker = ChangeAsker(f"{self._link.peer_name}, which says: {ask.who or 'an operator'}", self._link)
-        run = self._link.context.loop.create_task(self._changer.run(ask.target, ask.action, asker, ask.values))
+        work = self._changer.run(ask.target, ask.action, asker, ask.values, ask.component)
+        run = self._link.context.loop.create_task(work)
         self._runs[ask.ticket] = run
         over = [ticket for ticket, each in self._runs.items() if each.done()]
         for ticket in over[:-_REMEMBERED]:
@@ -228,12 +232,15 @@ class LinkChanges(Extension):
         self._request += 1
         return await self._pages.ask(self._request, msgspec.structs.replace(ask, request=self._request))
 
-    async def run(self, target: str, action: ChangeAction, values: NewValues = ()) -> ChangeOutcome:
+    async def run(
+        self, target: str, action: ChangeAction, values: NewValues = (), component: Component = NO_COMPONENT
+    ) -> ChangeOutcome:
         """Have the peer carry out a change, over any number of connections; raises as `managed`."""
         ticket = (await self._ask(ticket=True)).ticket
         if ticket in self._waits:
             raise LinkError(LinkChangesProblem.TWICE(link=self._link.name))
-        request = RunChange(ticket, target, action, sanitize_text(operator(), TEXT_LENGTH), values=values)
+        who = sanitize_text(operator(), TEXT_LENGTH)
+        request = RunChange(ticket, target, action, who, values=values, component=component)
         waiting = self._waits[ticket] = _Waiting(request, self._link.context.loop.create_future())
         try:
             self._link.send(request)
@@ -253,7 +260,7 @@ class LinkChanges(Extension):
         if not self._link.linked:
             raise LinkError(LinkChangesProblem.NOT_LINKED(link=self._link.name, reason=self._link.down_reason))
         if not self._peer_has:
-            raise LinkError(LinkChangesProblem.NOT_THERE(link=self._link.name))
+            raise LinkError(LinkChangesProblem.NOT_THERE())
 
     def _answered(self, answer: ManagedAnswer) -> None:
         self._questions.answered(answer.request, answer)

@@ -6,7 +6,7 @@ import asyncio
 from collections import deque
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 from weakref import WeakSet
 
 import msgspec
@@ -14,28 +14,40 @@ import msgspec
 from rsb_bridge.feature_api import Level, Wording, are_parameters_open, armed_of_nodes, sanitize_text
 from rsb_extras.node_control import GROUPS, MAY_CHANGE
 from rsb_extras.node_control.change_records import (
+    COMPONENT_ACTIONS,
     MOST_CHANGES,
     MOST_GROUPS,
+    NO_COMPONENT,
     ChangeOutcome,
     ChangeStep,
     ChangeText,
+    Container,
     ListedGroup,
     Managed,
     ManagedNode,
     NodeChange,
 )
+from rsb_extras.node_control.component_nodes import (
+    components_of,
+    container_names,
+    listed_container,
+    load,
+    unload,
+)
 from rsb_extras.node_control.lifecycle_nodes import managed_names, managed_node, phases, transit
-from rsb_extras.node_control.node_services import NodeServices
+from rsb_extras.node_control.node_services import NodeServices, NodeSilentError
 from rsb_extras.node_control.parameter_nodes import is_settable, named, nodes_with_parameters, page_of, set_parameters
 from rsb_extras.node_control.parameter_records import LARGEST_CHANGE, MOST_SET, ParameterNode, ParametersAnswer
 from rsb_extras.nodes import SHOW_NODES
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Awaitable, Iterable, Sequence
 
     from rsb_bridge.feature_api import Context, Link
-    from rsb_extras.node_control.change_records import ChangeAction
+    from rsb_extras.node_control.change_records import ChangeAction, Component
     from rsb_extras.node_control.parameter_records import AskParameters, NewValue
+
+T = TypeVar("T")
 
 STARTS, STARTS_WITHIN = 12, 60.0
 """The most changes by the other sides together in so many s, and as many by this side's operators. A round figure."""
@@ -60,6 +72,8 @@ class ChangeProblem(Wording):
     NO_VALUES = (
         "a change sets 1 to {most} parameters of one node, each once, with values of their types, {size} bytes at most"
     )
+    NO_LOAD = "a component has a package and a plugin, and parameters with values of their types, {size} bytes at most"
+    NO_CONTAINER = "{name} is no container: see rsb-console component list"
     NOT_READ = "{owner} does not let {peer} read parameters of {node}: add may: {{nodes: [{name}]}} {where}"
     NO_GROUP = "the session of {owner} lists no group {name}: see rsb-console lifecycle"
     NOT_ALLOWED = "{owner} does not let {peer} change {node}: add may: {{nodes: [{name}]}} {where}"
@@ -118,6 +132,7 @@ class NodeChanger:
         self._ended: deque[tuple[tuple[str, ...], NodeChange]] = deque(maxlen=_AT_ONCE)  # each with its nodes
         self._starts: dict[bool, deque[float]] = {is_own: deque(maxlen=STARTS) for is_own in (False, True)}
         self._found: tuple[ManagedNode, ...] = ()
+        self._containers: tuple[Container, ...] = ()
         self._looking: asyncio.Task[None] | None = None
         self._looked_at = float("-inf")
         self._stops = False
@@ -129,7 +144,7 @@ class NodeChanger:
     # --- what there is
 
     async def managed(self, asker: ChangeAsker) -> Managed:
-        """Return the managed nodes with their states, the groups, and the last changes, as far as one may see them."""
+        """Return managed nodes with their states, groups, containers and the last changes, as far as one may see."""
         shows = asker.link is None or SHOW_NODES.of(asker.link.end.rights)
         if asker.link is not None and not (shows or MAY_CHANGE.of(asker.link.end.rights)):
             return Managed()  # and no node is asked for a peer that sees none
@@ -143,6 +158,7 @@ class NodeChanger:
             ListedGroup(name, of_group, all(self._may(asker, each) for each in of_group))
             for name, of_group in tuple(self._groups.items())[:MOST_GROUPS]
         )
+        containers = (msgspec.structs.replace(each, allowed=self._may(asker, each.name)) for each in self._containers)
         running = ((each.nodes, NodeChange(each.target, each.action, self._progress(each))) for each in self._doing)
         return Managed(
             tuple(each for each in nodes if shows or each.allowed),
@@ -152,11 +168,15 @@ class NodeChanger:
                 for of_change, change in (*self._ended, *running)
                 if shows or all(self._may(asker, each) for each in of_change)
             ),
+            tuple(each for each in containers if shows or each.allowed),
         )
 
     async def _look(self) -> None:
-        names = await managed_names(self._context)
-        self._found = tuple(await asyncio.gather(*(managed_node(self.services, each) for each in names)))
+        names, containers = await asyncio.gather(managed_names(self._context), container_names(self._context))
+        self._found, self._containers = await asyncio.gather(
+            _all(managed_node(self.services, each) for each in names),
+            _all(listed_container(self.services, each) for each in containers),
+        )
         self._looked_at = self._context.now()
 
     def _progress(self, doing: _Doing) -> ChangeOutcome:
@@ -177,32 +197,44 @@ class NodeChanger:
     # --- changes
 
     async def run(
-        self, target: str, action: ChangeAction, asker: ChangeAsker, values: Sequence[NewValue] = ()
+        self,
+        target: str,
+        action: ChangeAction,
+        asker: ChangeAsker,
+        values: Sequence[NewValue] = (),
+        component: Component = NO_COMPONENT,
     ) -> ChangeOutcome:
         """Carry out a change, or refuse it. It goes on if nobody waits for it any more.
 
         An operator of this side does not wait for a peer's change, but ends it.
         """
         nodes = self._nodes(target)
-        what = f"set {named(values)}" if action == "set" else action
-        if action == "set" and ("/" not in target or not is_settable(values)):
-            problem = ChangeProblem.NO_VALUES(most=MOST_SET, size=LARGEST_CHANGE)
+        what = in_words(action, values, component)
+        if problem := malformed(target, action, values, component):
             return ChangeOutcome(refused=True, reason=problem)
+        if action in COMPONENT_ACTIONS and not self._lacks_right(target, nodes, asker):
+            try:
+                nodes += tuple(each.name for each in await components_of(self.services, target))
+            except NodeSilentError as error:
+                return self._refused(target, what, str(error), asker)
         while not (refusal := self._refusal(target, nodes, action, asker)) and (others := self._overlapping(nodes)):
             for each in others:
                 each.work.cancel()
             await asyncio.wait([each.outcome for each in others if each.outcome is not None])
         if refusal:
-            self._log(Level.WARNING, ChangeCode.REFUSED, f"{target}: {what} refused: {refusal}", asker)
-            return ChangeOutcome(refused=True, reason=sanitize_text(refusal))
+            return self._refused(target, what, refusal, asker)
         self._starts[asker.link is None].append(self._context.now())
         self._log(Level.INFO, ChangeCode.BEGAN, f"{target}: {what}", asker)
         steps: list[ChangeStep] = []
-        work = self._context.loop.create_task(self._work(nodes, action, steps, values))
+        work = self._context.loop.create_task(self._work(nodes, action, steps, values, component))
         doing = _Doing(target, action, nodes, asker, self._context.now(), work, steps)
         self._doing.append(doing)
         doing.outcome = self._context.loop.create_task(self._carry_out(doing))
         return await asyncio.shield(doing.outcome)
+
+    def _refused(self, target: str, what: str, reason: str, asker: ChangeAsker) -> ChangeOutcome:
+        self._log(Level.WARNING, ChangeCode.REFUSED, f"{target}: {what} refused: {reason}", asker)
+        return ChangeOutcome(refused=True, reason=sanitize_text(reason))
 
     def _nodes(self, target: str) -> tuple[str, ...]:
         return (target,) if "/" in target else self._groups.get(target, ())
@@ -222,7 +254,9 @@ class NodeChanger:
     def _refusal(self, target: str, nodes: Sequence[str], action: ChangeAction, asker: ChangeAsker) -> str:
         now, is_own = self._context.now(), asker.link is None
         is_bridged = action == "set" and _is_bridged(asker, target)
-        if not is_bridged and (refusal := self._lacks_right(target, nodes, asker)):
+        # The right to a container is that to its components, as they share a process.
+        named = nodes[:1] if action in COMPONENT_ACTIONS else nodes
+        if not is_bridged and (refusal := self._lacks_right(target, named, asker)):
             return refusal
         if not nodes:
             return ChangeProblem.NO_GROUP(owner=self._context.session.name, name=target)
@@ -261,11 +295,23 @@ class NodeChanger:
         return problem(**names)
 
     async def _work(
-        self, nodes: Sequence[str], action: ChangeAction, steps: list[ChangeStep], values: Sequence[NewValue]
+        self,
+        nodes: Sequence[str],
+        action: ChangeAction,
+        steps: list[ChangeStep],
+        values: Sequence[NewValue],
+        component: Component,
     ) -> str:
         """Have nodes take the steps of an action, up to the first that is not done, and return why it is not."""
+        whom = self._context, self.services, nodes[0]
         if action == "set":
-            steps.append(await set_parameters(self._context, self.services, nodes[0], values))
+            steps.append(await set_parameters(*whom, values))
+            return steps[0].reason
+        if action == "load":
+            steps.append(await load(*whom, component, values))
+            return steps[0].reason
+        if action == "unload":
+            steps.append(await unload(*whom, component.name))
             return steps[0].reason
         for transition, in_order in phases(action, nodes):
             for node in in_order:
@@ -314,3 +360,30 @@ class NodeChanger:
 def _is_bridged(asker: ChangeAsker, node: str) -> bool:
     """Whether the other side can set a node's parameters by their services, too."""
     return asker.link is not None and are_parameters_open(asker.link, node)
+
+
+async def _all(looks: Iterable[Awaitable[T]]) -> tuple[T, ...]:
+    return tuple(await asyncio.gather(*looks))
+
+
+def in_words(action: ChangeAction, values: Sequence[NewValue], component: Component) -> str:
+    """Return what is asked for, for the log."""
+    if action == "set":
+        return f"set {named(values)}"
+    if action == "unload":
+        return f"unload {component.name}"
+    if action == "load":
+        return f"load {component.package} {component.plugin}{f' with {named(values)}' if values else ''}"
+    return action
+
+
+def malformed(target: str, action: ChangeAction, values: Sequence[NewValue], component: Component) -> str:
+    """Return the reason why this is no change, or an empty string."""
+    if action == "set" and ("/" not in target or not is_settable(values)):
+        return ChangeProblem.NO_VALUES(most=MOST_SET, size=LARGEST_CHANGE)
+    if action in COMPONENT_ACTIONS and "/" not in target:
+        return ChangeProblem.NO_CONTAINER(name=target)
+    is_loadable = component.package and component.plugin and (not values or is_settable(values))
+    if action == "load" and not is_loadable:
+        return ChangeProblem.NO_LOAD(size=LARGEST_CHANGE)
+    return ""

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from msgspec.structs import asdict
 
-from rsb_bridge.config.yaml_text import dump_yaml
-from rsb_bridge.feature_api import EngineError, Wording, one_line, replace_file, typed_path, why_not_written
+from rsb_bridge.feature_api import EngineError, Wording, dump_yaml, one_line, replace_file, typed_path, why_not_written
 from rsb_console.feature_console import (
     FAILURE,
     OK,
@@ -94,7 +93,7 @@ def _list_nodes(arguments: Namespace, role: str, sides: Sequence[ParameterSide])
     shown = [side for side in sides if not (arguments.here and side.link)]
     problems = {side.link: side.problem for side in shown if side.problem}
     if arguments.link and problems:
-        raise EngineError(problems[arguments.link])
+        raise EngineError(LifecycleText.PROBLEM(side=arguments.link, problem=problems[arguments.link]))
     rows = [
         (each.name, side_of(role, side.link), "" if each.allowed else LifecycleText.MAY_NOT())
         for side in shown
@@ -206,7 +205,7 @@ def set_all(arguments: Namespace) -> int:
         raise UsageError(ParamText.PAIRS(name=pairs[-1]))
     texts = dict(zip(pairs[::2], pairs[1::2], strict=True))
     with attached(arguments) as engine:
-        link, found = _read(engine, arguments, *texts, missing=ParamText.NEW)
+        link, found = _read(engine, arguments, *texts, whole=True, missing=ParamText.NEW)
         known = {name: NodeParameter(name) for name in sorted(texts)} | {each.name: each for each in found}
         changes: list[ParameterChange] = []
         for each in known.values():

@@ -73,10 +73,11 @@ def read_values(answer: bytes) -> list[ParameterValue]:
         MalformedAnswerError: it is something else.
     """
     reader = FieldReader(answer)
-    return [_read_value(reader) for _ in range(reader.count(40, MOST_PARAMETERS))]
+    return [take_value(reader) for _ in range(reader.count(40, MOST_PARAMETERS))]
 
 
-def _read_value(reader: FieldReader) -> ParameterValue:
+def take_value(reader: FieldReader) -> ParameterValue:
+    """Take a rcl_interfaces/msg/ParameterValue; raise `MalformedAnswerError`."""
     given = _type(reader)
     fields: dict[ParameterType, Any] = {}
     for kind in PARAMETER_TYPES[1:]:
@@ -131,11 +132,17 @@ def _range(low: float, high: float, step: float) -> ParameterRange | None:
 
 def set_request(values: Sequence[NewValue]) -> bytes:
     """Return a request of SetParametersAtomically; raise ValueError if a value is none of its type."""
-    writer = FieldWriter().number("I", len(values))
-    for name, value in ((each.name, each.value) for each in values):
-        writer.text(name)
-        write_value(writer, value)
+    writer = FieldWriter()
+    write_parameters(writer, values)
     return writer.message
+
+
+def write_parameters(writer: FieldWriter, values: Sequence[NewValue]) -> None:
+    """Add a sequence of rcl_interfaces/msg/Parameter; raise as `set_request`."""
+    writer.number("I", len(values))
+    for each in values:
+        writer.text(each.name)
+        write_value(writer, each.value)
 
 
 def write_value(writer: FieldWriter, value: ParameterValue) -> None:

@@ -172,10 +172,12 @@ def named(values: Sequence[NewValue]) -> str:
 
 
 async def set_parameters(context: Context, services: NodeServices, node: str, values: Sequence[NewValue]) -> ChangeStep:
-    """Have a node set all of some parameters, or none."""
+    """Have a node set all of some parameters, or none; none either if one is not as it was seen."""
     began, reason = context.now(), ""
     names = join_first([each.name for each in values], _NAMED)
     try:
+        if reason := await _other_by_now(services, node, [each for each in values if each.seen]):
+            return ChangeStep(node, "set", "", sanitize_text(reason), context.now() - began)
         is_done, why = read_set(await services.call(node, SET, SET_TYPE, set_request(values), _SET_WITHIN))
         if not is_done:
             why = why or ParametersProblem.NO_REASON()
@@ -185,3 +187,14 @@ async def set_parameters(context: Context, services: NodeServices, node: str, va
     except MalformedAnswerError as error:
         reason = ParametersProblem.NO_ANSWER(node=node, error=error)
     return ChangeStep(node, "set", "", sanitize_text(reason), context.now() - began)
+
+
+async def _other_by_now(services: NodeServices, node: str, values: Sequence[NewValue]) -> str:
+    """Return a text about the first value that is not the one that was seen, or an empty string."""
+    found = await _of_each(services, node, [each.name for each in values], GET, GET_TYPE, read_values)
+    for new, value in zip(values, found, strict=True):
+        present = value or ParameterValue()
+        if present.digest != new.seen:
+            text = str(present) if present.content else ParametersProblem.NOT_SET()
+            return ParametersProblem.OTHER_BY_NOW(name=new.name, node=node, value=text)
+    return ""

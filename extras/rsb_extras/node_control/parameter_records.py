@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from hashlib import blake2b
 from typing import Annotated, Any, Literal, TypeAlias, get_args
 
 import msgspec
@@ -56,6 +57,11 @@ class ParameterValue(msgspec.Struct, frozen=True, omit_defaults=True):
         """Pack a value; bytes are those of a byte array."""
         return cls(kind, msgspec.msgpack.encode(plain))
 
+    @property
+    def digest(self) -> str:
+        """A sign of the value, which differs from those of others."""
+        return blake2b(f"{self.type} ".encode() + self.content if self.content else b"", digest_size=8).hexdigest()
+
     def plain(self) -> Any:
         """Return the value as plain data, or None if there is none: a byte array is a list of integers.
 
@@ -103,11 +109,16 @@ class NodeParameter(msgspec.Struct, frozen=True, omit_defaults=True):
     ranges: Annotated[tuple[ParameterRange, ...], Meta(max_length=1)] = ()
 
 
-class NewValue(msgspec.Struct, frozen=True):
-    """A parameter's value to be set."""
+class NewValue(msgspec.Struct, frozen=True, omit_defaults=True):
+    """A parameter's value to be set.
+
+    Attributes:
+        seen: the digest of the value that was seen before, or empty: then it is set whatever there is.
+    """
 
     name: ParameterName
     value: ParameterValue
+    seen: Annotated[str, Meta(max_length=16, pattern=PRINTABLE)] = ""
 
 
 NewValues: TypeAlias = Annotated[tuple[NewValue, ...], Meta(max_length=MOST_SET)]
@@ -162,3 +173,5 @@ class ParametersProblem(Wording):
     NO_ANSWER = "{node}: its answer about its parameters cannot be read: {error}"
     NO_REASON = "it gives no reason"
     REFUSED = "{node} does not set {names}: {reason}"
+    NOT_SET = "not set"
+    OTHER_BY_NOW = "{name} of {node} is {value} by now, and not what was seen before: read it again"

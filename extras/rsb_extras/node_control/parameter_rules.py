@@ -61,7 +61,8 @@ class ParameterChange(NamedTuple):
     @property
     def value(self) -> NewValue:
         plain = bytes(self.new) if self.type == "byte_array" else self.new
-        return NewValue(self.name, ParameterValue.of(self.type, plain))  # type: ignore[arg-type]  # one of these
+        seen = "" if self.parameter.size else self.parameter.value.digest
+        return NewValue(self.name, ParameterValue.of(self.type, plain), seen)  # type: ignore[arg-type]  # one of these
 
 
 class Comparison(NamedTuple):

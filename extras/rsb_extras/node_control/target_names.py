@@ -1,4 +1,4 @@
-"""Completes names of managed nodes, of groups, and of nodes with parameters and these."""
+"""Completes names of managed nodes, groups, containers and components, and of nodes with parameters and these."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from rsb_bridge.feature_api import RemoteEngine
+    from rsb_extras.node_control.change_records import Container
 
 
 def target_names(parsed_args: Namespace, **_: object) -> list[str]:
@@ -24,6 +25,24 @@ def target_names(parsed_args: Namespace, **_: object) -> list[str]:
         return [each.name for side in sides for each in side.targets]
 
     return asked_of_bridge(parsed_args, names)
+
+
+def containers(parsed_args: Namespace, **_: object) -> list[str]:
+    """Return the containers of both sides of a bridge."""
+    return asked_of_bridge(parsed_args, lambda engine: [each.name for each in _containers(engine)])
+
+
+def components(parsed_args: Namespace, **_: object) -> list[str]:
+    """Return the components of the container that is named."""
+
+    def names(engine: RemoteEngine) -> list[str]:
+        return [node for each in _containers(engine) if each.name == parsed_args.node for node in each.nodes]
+
+    return asked_of_bridge(parsed_args, names)
+
+
+def _containers(engine: RemoteEngine) -> list[Container]:
+    return [each for side in result(engine.do(ListManaged())) for each in side.managed.containers]
 
 
 def nodes_with_parameters(parsed_args: Namespace, **_: object) -> list[str]:

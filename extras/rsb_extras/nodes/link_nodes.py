@@ -80,6 +80,7 @@ class LinkNodes(Extension):
         self._at = (0, 0)  # book and number of the peer's that this side has
         self._number = self._one_number = 0  # of the last questions
         self._asking = False
+        self._endings = self._watch.endings
 
     # --- what somebody here looks at
 
@@ -117,6 +118,9 @@ class LinkNodes(Extension):
             raise LinkError(NodesText.LACKS(link=self._link.name))
 
     def tick(self) -> None:
+        if self._endings != self._watch.endings:
+            self._endings = self._watch.endings
+            self._explain_again()
         if self._peer_has and not self._asking and self._link.context.now() < self._looked_until:
             self._link.spawn(self._go_on())
 
@@ -236,6 +240,12 @@ class LinkNodes(Extension):
         self.book.begin()
 
     # --- why a topic does not flow
+
+    def _explain_again(self) -> None:
+        """Have verdicts made again that may name a node: it has ended later than the reason why they were made."""
+        for route in self._link.routes.values():
+            if route.outgoing and route.verdict().cause in (*_NOBODY, Cause.PUBLISHER_SILENT):
+                route.judge_again()
 
     def _explain(self, route: Route, verdict: Verdict) -> Verdict | None:
         # The text goes to the peer, too, with the verdict.

@@ -126,9 +126,11 @@ class NodeWatch:
 
     Attributes:
         book: all that is shown of them.
+        endings: how many have ended so far.
     """
 
     def __init__(self, context: Context) -> None:
+        self.endings = 0
         self.book: Final = NodeBook(context.wall_ns() >> 16)
         self._context = context
         self._nodes: dict[str, _Node] = {}
@@ -354,6 +356,7 @@ class NodeWatch:
             return
         known.ended, known.lifecycle = now, ""
         known.endings.append(now)
+        self.endings += 1
         if name.rpartition("/")[2].startswith("_"):  # a tool
             self._drop(name)
         else:

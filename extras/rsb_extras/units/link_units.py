@@ -82,8 +82,9 @@ class UnitEnded(ControlMessageBase, frozen=True):
 
 
 class LinkUnitsProblem(Wording):
+    AWAY = "not linked: {reason}"
     NOT_LINKED = "{link} is not linked: {reason}"
-    NOT_THERE = "the installation of {link} has no units: install all of rsb-console there"
+    NOT_THERE = "the other side's installation has no units: install all of rsb-console there"
     BUSY = "an action on a unit of {link} is under way: wait until that is over"
     LOST = "the link was lost: look at the unit's state before you ask again"
     SILENT = "{link} did not answer: look at the unit's state before you ask again"
@@ -202,7 +203,7 @@ class LinkUnits(Extension):
         if not self._link.linked:
             raise LinkError(LinkUnitsProblem.NOT_LINKED(link=self._link.name, reason=self._link.down_reason))
         if not self._peer_has:
-            raise LinkError(LinkUnitsProblem.NOT_THERE(link=self._link.name))
+            raise LinkError(LinkUnitsProblem.NOT_THERE())
         self._request += 1
         return await self._questions.ask(self._request, AskUnits(self._request, ticket))
 

@@ -77,7 +77,7 @@ def _list(engine: RemoteEngine, arguments: Namespace, groups: Sequence[UnitGroup
     role = engine.bridge.role
     problems = [group for group in groups if group.problem]
     if arguments.link and problems:
-        raise EngineError(problems[0].problem)
+        raise EngineError(UnitsCommandText.PROBLEM(side=arguments.link, problem=problems[0].problem))
     if arguments.json:
         listed = [{"link": group.link} | asdict(unit) for group in groups for unit in group.units]
         return done(arguments, units=listed, problems={group.link: group.problem for group in problems})

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.feature_api import EnginePart, Level, LinkError, link_named, one_line, operator, sanitize_text
 from rsb_extras.units import UNITS
-from rsb_extras.units.link_units import LinkUnits
+from rsb_extras.units.link_units import LinkUnits, LinkUnitsProblem
 from rsb_extras.units.unit_records import NAME, UnitText
 from rsb_extras.units.unit_requests import ControlUnit, ListUnits, UnitGroup
 from rsb_extras.units.unit_runner import Asker, UnitCode, UnitProblem, UnitRunner
@@ -33,6 +33,8 @@ class UnitsPart(EnginePart):
         return tuple(group for group in groups if group.units or group.problem)
 
     async def _of_link(self, link: Link) -> UnitGroup:
+        if not link.linked:
+            return UnitGroup(link.name, problem=sanitize_text(LinkUnitsProblem.AWAY(reason=link.down_reason)))
         try:
             return UnitGroup(link.name, await link.extensions.find(LinkUnits).list_units())
         except LinkError as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -25,7 +26,9 @@ from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.ros.ros_interface import TopicSpec
+from rsb_console.notation.route_fact import facts_of
 from rsb_extras.demo.robot_frames import Frame, FrameBroadcaster, serialized
+from rsb_extras.frames.frame_lines import FACT, FrameLine
 from rsb_extras.frames.link_frames import FramesCause, FramesCode, FramesText, StampShift
 
 if TYPE_CHECKING:
@@ -226,6 +229,8 @@ def test_stamps_are_on_this_machines_clock(bridge: Bridge) -> None:
     here = int(time.time())
     assert abs(send(here + 3600).stamp.sec - here) <= 11
     assert happened(pc, FramesCode.RESTAMPS, "stamps are shifted by -3")
+    rewritten = [("Rewritten", FrameLine.RESTAMPS())]
+    eventually(lambda: [*facts_of(route(pc, "/scan_header"))] == rewritten, what="what info and the details say")
     none = send(0).stamp
     assert none.sec == none.nanosec == 0
 
@@ -304,3 +309,9 @@ def test_a_shift_stays_until_the_clocks_contradict_it() -> None:
     assert stamps.shift is None
     stamps.look(2.0, 0.1, 0.1)
     assert stamps.shift == -2_000_000_000
+
+
+def test_prefix_and_stamps_are_one_line() -> None:
+    shown: Any = SimpleNamespace(features={"rewritten": {"prefix": "robot1/", "restamps": True}})
+    assert FACT.line(shown) == f"{FrameLine.PREFIX(prefix='robot1/')}; {FrameLine.RESTAMPS()}"
+    assert FACT.line(SimpleNamespace(features={})) == ""  # type: ignore[arg-type]  # a snapshot without features

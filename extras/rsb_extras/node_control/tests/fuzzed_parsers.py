@@ -12,7 +12,17 @@ from rsb_bridge.model.text import is_clean
 from rsb_bridge.wire.codec import decode, encode
 from rsb_bridge.wire.protocol_error import ProtocolError
 from rsb_extras.node_control.cdr_fields import FieldWriter, MalformedAnswerError
-from rsb_extras.node_control.change_records import LIFECYCLE_ACTIONS, MOST_MANAGED, MOST_STEPS, TRANSITIONS, ChangeText
+from rsb_extras.node_control.change_records import (
+    COMPONENT_ACTIONS,
+    LIFECYCLE_ACTIONS,
+    MOST_COMPONENTS,
+    MOST_MANAGED,
+    MOST_STEPS,
+    TRANSITIONS,
+    ChangeText,
+    Component,
+)
+from rsb_extras.node_control.component_messages import read_components, read_load, read_unload
 from rsb_extras.node_control.lifecycle_messages import read_offers, read_state, read_success
 from rsb_extras.node_control.link_changes import AskManaged, ChangeEnded, ManagedAnswer, RunChange
 from rsb_extras.node_control.parameter_messages import (
@@ -48,6 +58,10 @@ _MESSAGES = (
     ChangeEnded(2, DONE),
     ChangeEnded(2, FAILED),
     RunChange(2, "/nav", "set", values=(NewValue("a.b", ParameterValue.of("double_array", [0.5, 1.0])),)),
+    RunChange(
+        2, "/nav", "load", values=(NewValue("a", ParameterValue.of("bool", True)),), component=Component("a", "a::B")
+    ),
+    RunChange(2, "/nav", "unload", component=Component(name="/a")),
     AskParameters(3),
     AskParameters(3, "/nav", ("frame", "max_speed"), "a", whole=True),
     ParametersAnswer(3, PARAMETERS, more=True),
@@ -63,7 +77,7 @@ def _read_message(data: bytes) -> None:
         return
     if isinstance(message, RunChange):
         assert 0 < len(message.target) <= 255
-        assert message.action in (*LIFECYCLE_ACTIONS, "set")
+        assert message.action in (*LIFECYCLE_ACTIONS, *COMPONENT_ACTIONS, "set")
     elif isinstance(message, ManagedAnswer):
         assert len(message.managed.nodes) <= MOST_MANAGED
     elif isinstance(message, ChangeEnded):
@@ -123,6 +137,16 @@ def _descriptors_answer() -> bytes:
     return writer.number("I", 1).number("q", 0).number("q", 10).number("Q", 2).message
 
 
+def _read_containers(data: bytes) -> None:
+    with suppress(MalformedAnswerError):
+        components = read_components(data)
+        assert len(components) <= MOST_COMPONENTS
+        assert all(is_clean(each.name) for each in components)
+    for read in (read_load, read_unload):
+        with suppress(MalformedAnswerError):
+            assert is_clean(read(data).reason + read(data).name)
+
+
 def _read_answers(data: bytes) -> None:
     with suppress(MalformedAnswerError):
         state = read_state(data)
@@ -151,6 +175,13 @@ PARSERS = (
             FieldWriter().number("B", 3).text("active").message,
             offers_answer((1, "configure"), (5, "shutdown")),
             FieldWriter().number("?", True).message,
+        ),
+    ),
+    Parser(
+        "container_answer", _read_containers,
+        (
+            FieldWriter().number("I", 1).text("/a").number("I", 1).number("Q", 1).message,
+            FieldWriter().number("?", True).text("").text("/a").number("Q", 1).message,
         ),
     ),
     Parser(

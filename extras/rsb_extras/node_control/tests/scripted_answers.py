@@ -7,6 +7,7 @@ from typing import Any
 from rsb_extras.node_control.change_records import (
     ChangeOutcome,
     ChangeStep,
+    Container,
     ListedGroup,
     Managed,
     ManagedNode,
@@ -37,6 +38,10 @@ SIDES = (
             ),
             (ListedGroup("nav", ("/nav/planner_server", "/controller"), True),),
             (NodeChange("nav", "up", FAILED),),
+            (
+                Container("/nav2_container", ("/nav/planner_server", "/nav/smoother_server"), allowed=True),
+                Container("/sensors", ("/sensors/filter",)),
+            ),
         ),
     ),
 )
@@ -82,7 +87,12 @@ PARAMETER_SIDES = (
 
 
 def _read(command: ReadParameters) -> tuple[NodeParameter, ...]:
-    found = PARAMETERS[1:] if command.node == "/lidar_driver" else PARAMETERS  # the first is too large for a link
+    found: tuple[NodeParameter, ...] = (
+        PARAMETERS[1:] if command.node in ("/lidar_driver", "/controller_server") else PARAMETERS
+    )
+    # The first is too large for a link.
+    if command.node == "/controller_server":
+        found += (NodeParameter("controller_frequency", _value("double", 10.0)),)
     return tuple(each for each in found if not command.names or each.name in command.names)
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from concurrent.futures import Future
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from tests.console.driving import NARROW, WIDE, engine_of, gone, notified, on_main, shown, text, until
 
 from rsb_extras.node_control.change_records import (
     ChangeOutcome,
     ChangeStep,
+    Component,
     ListedGroup,
     Managed,
     ManagedNode,
@@ -44,6 +45,10 @@ async def test_nodes_and_groups_are_shown_with_the_last_change(app: ConsoleApp, 
     lines = [" ".join(line.strip(" │▌").split()) for line in text(app).splitlines()]
     assert "/camera this side active u w d S" in lines
     assert "/controller the server unconfigured no right" in lines
+    assert "/nav/planner_server the server inactive u w a n S L" in lines, "a component, too"
+    assert "/nav2_container the server 2 components l" in lines
+    assert "/nav/smoother_server the server component L" in lines
+    assert "/sensors/filter the server component no right" in lines
     assert "nav the server 1 inactive, 1 unconfigured u w" in lines
     assert "esc close" in text(app)
     await pilot.press("j")
@@ -146,5 +151,52 @@ async def test_a_node_leads_to_its_lifecycle(app: ConsoleApp, pilot: Pilot[None]
 
 
 def test_each_question_fits() -> None:
-    for each in (LifecycleScreenText.RISES, LifecycleScreenText.FALLS):
+    for each in (LifecycleScreenText.RISES, LifecycleScreenText.FALLS, LifecycleScreenText.LOADS):
         assert len(each(nodes="", goal="unconfigured")) <= 2 * 60  # lines of a question
+
+
+async def to(pilot: Pilot[None], app: ConsoleApp, name: str) -> None:
+    screen = app.screen
+    assert isinstance(screen, LifecycleScreen)
+    wanted = f"robot1 {name}"
+    await until(pilot, lambda: wanted in screen.table.keys, "the row")
+    screen.table.move_to(screen.table.keys.index(wanted))
+
+
+def changed(app: ConsoleApp) -> list[tuple[Any, ...]]:
+    return [command[1:] for command in engine_of(app).commands if command[0] == "change nodes"]
+
+
+@on_main(WIDE)
+async def test_a_component_is_loaded_after_a_form_and_a_question(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await opened(pilot)
+    await to(pilot, app, "/nav/smoother_server")
+    await pilot.press("l")
+    await notified(pilot, LifecycleScreenText.NO_CONTAINER, name="/nav/smoother_server")
+    await to(pilot, app, "/nav2_container")
+    await pilot.press("l")
+    await shown(pilot, "Load into /nav2_container")
+    await pilot.press(*"nav2_route", "tab", *"nav2::Route", "tab", "tab", "tab", *"rate:=x:=y; depth")
+    await shown(pilot, "depth is no rule: write name:=value")
+    await pilot.press(*":=2", "tab", "tab", "tab", "enter")
+    await shown(pilot, "Load nav2::Route into /nav2_container of the server?")
+    await pilot.press("y")
+    await until(pilot, lambda: len(changed(app)) == 1, "the change")
+    ((_, _, _, values, component),) = changed(app)
+    assert component == Component("nav2_route", "nav2::Route")
+    assert [(each.name, each.value.plain()) for each in values] == [("rate", "x:=y"), ("depth", 2)]
+
+
+@on_main(NARROW)
+async def test_a_component_is_unloaded_after_a_question(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await opened(pilot)
+    await to(pilot, app, "/nav/smoother_server")
+    await pilot.press("L")
+    await shown(pilot, "Unload /nav/smoother_server of the server?")
+    await pilot.press("y")
+    await until(pilot, lambda: len(changed(app)) == 1, "the change")
+    ((target, action, _, _, component),) = changed(app)
+    assert (target, action, component.name) == ("/nav2_container", "unload", "/nav/smoother_server")
+    await to(pilot, app, "/sensors/filter")
+    await pilot.press("L")
+    await notified(pilot, LifecycleScreenText.NO_RIGHT, name="/sensors", side="the server")

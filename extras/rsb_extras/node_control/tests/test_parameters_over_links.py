@@ -6,6 +6,7 @@ from contextlib import closing
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from rclpy.parameter import Parameter
 from tests.support.bridge import happened, linked
 from tests.support.waiting import eventually
 
@@ -23,6 +24,7 @@ from rsb_extras.node_control.parameter_records import (
     ParameterValue,
 )
 from rsb_extras.node_control.parameter_requests import ListParameterNodes, ReadParameters
+from rsb_extras.node_control.parameter_rules import ParameterChange
 from rsb_extras.node_control.tests.managed_nodes import has
 from rsb_extras.node_control.tests.tuned_node import LARGE, VALUES, TunedNode
 
@@ -140,6 +142,20 @@ def test_some_are_set_all_or_none(bridge: Bridge, node: TunedNode) -> None:
     assert (node["frame"], node["max_speed"]) == ("odom", 1.2)
 
 
+def test_a_value_that_is_another_by_now_is_not_set(bridge: Bridge, node: TunedNode) -> None:
+    pc, robot = two_sides(bridge, NODE)
+    seen = read(pc)
+    meant = ParameterChange(seen["frame"], "string", "odom"), ParameterChange(seen["max_speed"], "double", 1.0)
+    node.node.set_parameters([Parameter("frame", value="world")])
+    for engine, link in ((pc, "robot1"), (robot, "")):
+        refused = change(engine, *(each.value for each in meant), link=link)
+        assert refused.reason == f"frame of {NODE} is world by now, and not what was seen before: read it again"
+    assert (node["frame"], node["max_speed"]) == ("world", 0.5)
+    unset = ParameterChange(read(pc)["unset"], "double", 2.0)
+    assert change(pc, ParameterChange(read(pc)["frame"], "string", "odom").value, unset.value).done
+    assert (node["frame"], node["unset"]) == ("odom", 2.0)
+
+
 def test_a_nodes_reason_is_shown(bridge: Bridge, node: TunedNode) -> None:
     pc, robot = two_sides(bridge, NODE)
     node.refused = "not while it drives"
@@ -209,11 +225,8 @@ def test_parameters_of_a_driven_node_are_left_alone(
 def test_what_is_no_change_reaches_no_node(bridge: Bridge, node: TunedNode, target: str, values: Any) -> None:
     pc, robot = two_sides(bridge, NODE)
     assert change(robot, *values, link="", target=target).refused
-    if target == NODE:
-        with pytest.raises(EngineError, match="a change sets 1 to 200 parameters of one node"):
-            change(pc, *values, target=target)
-    else:
-        assert change(pc, *values, target=target).refused
+    with pytest.raises(EngineError, match="a change sets 1 to 200 parameters of one node"):
+        change(pc, *values, target=target)
     assert node["frame"] == "map"
 
 

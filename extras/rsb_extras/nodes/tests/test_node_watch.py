@@ -138,6 +138,7 @@ class World:
             end=SimpleNamespace(rights=rights),
             spawn=self.loop.create_task,
             send=self.sent.append,
+            routes={},
         )
         return LinkNodes(link)
 
@@ -216,6 +217,24 @@ def test_end_of_a_silent_publisher_is_found_on_a_thread(world: World, monkeypatc
     explained = nodes.explanation(route, silent)
     assert explained is not None
     assert LIDAR in explained.text
+
+
+def test_verdict_is_made_again_once_its_node_has_ended(world: World) -> None:
+    """DDS tells of a publisher's end before the graph is read."""
+    nodes, again = world.link(), list[str]()
+    for topic, verdict in (("/scan", NO_PUBLISHER), ("/flows", Verdict(State.OK, Cause.NONE, "", 0.0))):
+        route = outgoing()
+        route.verdict = lambda verdict=verdict: verdict
+        route.judge_again = lambda topic=topic: again.append(topic)
+        nodes._link.routes[topic] = route
+    world.passes(2, changed=True)
+    nodes.tick()
+    assert again == []
+    world.ros.nodes.clear()
+    world.passes(2, changed=True)
+    nodes.tick()
+    nodes.tick()
+    assert again == ["/scan"]
 
 
 # --- what a peer may see

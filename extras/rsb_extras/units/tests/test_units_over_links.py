@@ -364,4 +364,4 @@ def test_states_are_looked_for_only_while_somebody_asks(bridge: Bridge, nav: Sup
 
 def test_a_side_that_is_not_linked_is_named(bridge: Bridge) -> None:
     (side,) = bridge.server().do(ListUnits()).result(60)
-    assert side.problem.startswith("robot1 is not linked: ")
+    assert side.problem.startswith("not linked: "), "those who show it name the side"
