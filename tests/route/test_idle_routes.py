@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import inf
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -14,9 +15,9 @@ from rsb_bridge.model.faults import PathFault
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause, LinkCause
-from rsb_bridge.route.idling import POLLED_EVERY, SETTLES
+from rsb_bridge.route.idling import POLLED_EVERY, SETTLES, Idling
 from rsb_bridge.route.sender import Sender
-from rsb_bridge.wire.records import ReceivedReport, VerdictRecord
+from rsb_bridge.wire.records import ReceivedCounts, ReceivedReport, VerdictRecord
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -92,6 +93,23 @@ def test_route_without_publisher_is_ticked_seldom_but_ticked(
 
 
 DOWN = VerdictRecord("DOWN", Cause.NOT_PUBLISHED, "refused by the middleware")
+
+
+def test_counts_without_latency_do_not_keep_it_awake(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
+    """Such as the first ones of an opening, which nothing has come on."""
+    world = World(loop, make_context())
+    world.find_talker()
+    world.wait_until_idle()
+    world.sender.reported(ReceivedCounts(route=1))
+    world.wait(SETTLES)
+    assert len(world.ticks) <= 2
+
+
+def test_calm_route_rests_at_next_tick_though_that_is_early() -> None:
+    idling = Idling(0.0)
+    for now, until in ((10.003, 10.003), (11.0, inf)):
+        idling.ticked(("changed",), 0, now, lambda: inf, lambda _: True)
+        assert idling.until == until
 
 
 @pytest.mark.parametrize(

@@ -21,8 +21,9 @@ if TYPE_CHECKING:
 SETTLES = 12.0
 """s after an event for which a route is ticked: longer than `watches.LATELY`, `topic_flow._LATENCY_LASTS` and
 `combined_verdict._WAITS`. Longer windows of the rules are in `next_change`."""
-_CALMS = 1.0
-"""s after an event for which a route is ticked that is calm: all that follows from it at once has followed."""
+_CALMS = 0.9
+"""s after an event for which a route is ticked that is calm: all that follows from it at once has followed. Less than a
+second, as the tick that follows another one may come a little early."""
 STEADY_FOR = 4.5
 """s after a tick until the next one of a route whose messages go on as before, while nobody looks on either side: its
 figures are then as old as those for the record (`snapshot_publisher._FIGURES_EVERY`). Ticks may come a little early."""
