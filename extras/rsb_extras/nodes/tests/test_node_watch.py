@@ -116,6 +116,7 @@ class World:
     """The watch of one side, in virtual time, and its end of a link."""
 
     def __init__(self, made_by: Callable[..., Context], loop: VirtualLoop, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.routes: dict[str, Any] = {}
         self.ros, self.processes, self.loop = Graph(), Processes(), loop
         self.context = made_by(self.ros)
         self.watch = self.context.shared(NodeWatch)
@@ -138,7 +139,7 @@ class World:
             end=SimpleNamespace(rights=rights),
             spawn=self.loop.create_task,
             send=self.sent.append,
-            routes={},
+            routes=self.routes,
         )
         return LinkNodes(link)
 
@@ -226,7 +227,7 @@ def test_verdict_is_made_again_once_its_node_has_ended(world: World) -> None:
         route = outgoing()
         route.verdict = lambda verdict=verdict: verdict
         route.judge_again = lambda topic=topic: again.append(topic)
-        nodes._link.routes[topic] = route
+        world.routes[topic] = route
     world.passes(2, changed=True)
     nodes.tick()
     assert again == []
