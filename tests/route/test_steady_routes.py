@@ -6,10 +6,12 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from msgspec.structs import replace
 from tests.route.idle_routes_helpers import TALKER, Channel
 from tests.support.offline import FakePeer, half_of
 
 from rsb_bridge.channel.channel import Counts
+from rsb_bridge.link.link import RouteReports
 from rsb_bridge.model.capacity import Fullness
 from rsb_bridge.model.faults import PathFault
 from rsb_bridge.model.session import Topic
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
     from tests.support.virtual_time import VirtualLoop
 
     from rsb_bridge.context import Context
+    from rsb_bridge.wire.messages import Report
 
 _RATE = 10
 _LEARNS = 60.0
@@ -59,7 +62,7 @@ class Flowing:
                 self._message()
             self.loop.jump(0.5)
             self._report()
-            if self.peer.timetable.look(self.loop.time()):
+            if self.peer.timetable.look(self.loop.time(), looked_at=self.peer.is_looked_at):
                 self.ticks.append(self.loop.time())
                 self.route.tick()
 
@@ -127,7 +130,6 @@ def test_route_is_ticked_each_fifth_second(
     assert flowing.route.meter.rate == pytest.approx(_RATE)
     assert set(flowing.route.meter.history) == {_RATE}
     flowing.peer.is_looked_at = True
-    flowing.seconds(5)
     flowing.ticks.clear()
     flowing.seconds(10)
     assert len(flowing.ticks) == 10, "somebody looks"
@@ -152,6 +154,44 @@ def test_silence_of_reports_is_noticed(loop: VirtualLoop, make_context: Callable
     _stop_reports(flowing)
     flowing.seconds(4)
     assert flowing.half.flow.lateness.since is not None
+
+
+def test_slow_topic_is_noticed_as_soon_as_while_somebody_looks(
+    loop: VirtualLoop, make_context: Callable[..., Context]
+) -> None:
+    flowing = Flowing(Sender, loop, make_context())
+    flowing.half.subscription = SimpleNamespace(
+        receives=True, failure="", numbers=flowing.half.subscription.numbers, tick=lambda _: None
+    )
+    flowing.seconds(30)
+    flowing.route.spec = replace(flowing.route.spec, expected_rate=2.0 * _RATE)
+    flowing.route.judge_again()
+    flowing.seconds(6)
+    assert flowing.half.health.slow.since is not None
+
+
+def test_last_counts_before_goodbye_are_of_present(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
+    flowing = Flowing(Sender, loop, make_context())
+    while not flowing.route.idling.goes_on_now:
+        flowing.seconds(1)
+    flowing.seconds(2)
+    assert flowing.route.idling.goes_on_now
+    sent: list[Report] = []
+    link: Any = SimpleNamespace(routes={"": flowing.route}, send=sent.append)
+    RouteReports(link).leaving()
+    assert [each.offered for report in sent for each in report.sent_counts] == [flowing.count]
+
+
+def test_reported_delay_is_of_last_second(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
+    """Of all seconds since the last tick, it would hide a delay that has just begun."""
+    flowing = Flowing(Receiver, loop, make_context())
+    while flowing.ticks != [loop.time()]:
+        flowing.ticks.clear()
+        flowing.seconds(1)
+    flowing.seconds(3)
+    flowing.delay = 1.5
+    flowing.seconds(1)
+    assert flowing.half.flow.latency.recent == flowing.delay
 
 
 def test_percentiles_are_reported_while_somebody_looks(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:

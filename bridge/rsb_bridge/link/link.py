@@ -198,6 +198,8 @@ class RouteReports(Extension):
     def leaving(self) -> None:
         """Send the last counts: what is not in them has not arrived."""
         routes = [*self._link.routes.values()]
+        for route in routes:
+            route.idling.goes_on_now = False  # else what it has counted since its last tick is left out
         for first in range(0, len(routes), _REPORTED_AT_ONCE):
             self._report_now(routes[first : first + _REPORTED_AT_ONCE])
 

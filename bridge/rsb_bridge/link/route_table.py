@@ -490,7 +490,8 @@ class RouteTable(Extension):
             self._down_reason = link.down_reason
             for route in link.routes.values():
                 route.judge_again()
-        await in_slices(link.timetable.look(now), lambda route: link.guarded(route.tick))
+        looked_at = link.is_looked_at or self._context.is_looked_at()  # the link finds out later in this second
+        await in_slices(link.timetable.look(now, looked_at=looked_at), lambda route: link.guarded(route.tick))
 
     def tick(self) -> None:
         """Propose refused routes again, and remove routes that the peer no longer wants."""

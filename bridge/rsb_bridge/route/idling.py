@@ -105,7 +105,7 @@ class Idling:
             self._settles_until = now + SETTLES
         elif passed != self.passed:
             self._settles_until = now + SETTLES
-        self.passed = passed
+        self.passed, self.goes_on_now = passed, False
         left = self._settles_until - now
         settles = left > 0.0 and (left > SETTLES - _CALMS or not is_calm(now))
         self.until = now if settles else next_change()
@@ -154,8 +154,12 @@ class Timetable(Generic[TickableT]):
         self.awake[route] = None
         self.changes += 1
 
-    def look(self, now: float) -> list[TickableT]:
-        """Return the routes to tick at `now` (s); the others are idle. Called once a second."""
+    def look(self, now: float, *, looked_at: bool = False) -> list[TickableT]:
+        """Return the routes to tick at `now` (s). Called once a second.
+
+        Args:
+            looked_at: whether somebody looks at the figures, so that all are ticked that are not idle.
+        """
         times = self._times
         while times and times[0][0] <= now:
             until, _, route = heappop(times)
@@ -170,7 +174,7 @@ class Timetable(Generic[TickableT]):
             self._times = [each for each in times if each[2].idle and each[2].idling.until == each[0]]
             heapify(self._times)
         self.looked = now
-        return [each for each in self.awake if not each.idling.goes_on(now, each.meter, each.half)]
+        return [each for each in self.awake if looked_at or not each.idling.goes_on(now, each.meter, each.half)]
 
     def remove(self, route: TickableT) -> None:
         """Forget a route that has gone."""

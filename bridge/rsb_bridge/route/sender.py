@@ -35,6 +35,7 @@ from rsb_bridge.route.topic_facts import SenderFacts
 from rsb_bridge.route.topic_flow import TopicFlow
 from rsb_bridge.route.topic_subscription import TopicSubscription
 from rsb_bridge.route.topic_verdict import OF_SENDER
+from rsb_bridge.telemetry.watches import FAST_ABOVE
 from rsb_bridge.wire.messages import Describe, Limit, Publishers, Ready
 from rsb_bridge.wire.records import MOST_PUBLISHERS, ReceivedCounts, ReceivedReport, SentCounts, SentReport
 
@@ -345,6 +346,9 @@ class Sender:
         setbacks = self.counts.setbacks(self.subscription.numbers.counts)
         if self.path.queue or self.backlog.exists or setbacks != self._setbacks:
             return False
+        usual, expected = self.route.meter.usual_rate, self.health.expected_rate
+        if usual is not None and expected is not None and usual < FAST_ABOVE * expected:
+            return False  # it may get slow without a change, for which seconds are counted by ticks
         unreported = self.delays.unreported(self.counts.sent_now, self.counts.reported_now, now)
         delay = max(delay_of_sender(unreported, self.route.peer.keepalive.ping_delay), self.delays.reported or 0.0)
         return self.flow.goes_on(now, delay)

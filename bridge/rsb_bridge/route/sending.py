@@ -465,7 +465,6 @@ class OutgoingPath:
         histories: of a latched topic's publishers in the present opening, or None for a volatile topic.
         gates: all that are on.
         queue: the messages that wait for the channel.
-        queue: the messages that wait for the channel.
     """
 
     def __init__(self, flow: TopicFlow, ledger: RouteLedger, loop_filter: LoopFilter, backlog: Backlog) -> None:

@@ -324,7 +324,7 @@ class TopicFlow:
         """
         route, peer, bound, watch = self.route, self.route.peer, self.lateness.bound, self.silence.watch
         return bool(
-            (not bound or delay <= bound)
+            (not bound or (delay <= bound and self.lateness.is_decided))
             and (not watch.after or now - watch.quiet_since < watch.after)
             and not (self.carried.may_move or route.arming.required or route.age.is_on or self.left_out.is_on)
             and peer.path.fault is None and peer.fullness.out is None and peer.fullness.into is None

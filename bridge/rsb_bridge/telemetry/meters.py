@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from math import inf, sqrt
+from math import ceil, inf, sqrt
 
 from rsb_bridge.model.capacity import Capacity, CapacitySource, newer
 
@@ -210,11 +210,12 @@ class LatencyMeter:
     Attributes:
         newest: the last sample, or None without one.
         jitter: or None without a figure.
-        recent: median of the samples between the last two ticks, or None without one.
+        recent: median of the samples of the second before the last tick, or None without one.
     """
 
     __slots__ = (
-        "_counts", "_fresh", "_lasts", "_reported", "_reported_until", "_samples", "jitter", "newest", "recent",
+        "_counts", "_fresh", "_lasts", "_reported", "_reported_until", "_samples", "_ticked", "jitter", "newest",
+        "recent",
     )  # fmt: skip
 
     def __init__(self, lasts: float = 0.0) -> None:
@@ -222,6 +223,7 @@ class LatencyMeter:
         self._lasts = lasts
         self._counts: deque[tuple[float, int]] = deque()  # the last ticks (s), and samples in each
         self._fresh = 0  # samples since the last tick
+        self._ticked: float | None = None  # s
         self._reported: tuple[float | None, float | None] = _NO_FIGURES  # by the other side
         self._reported_until = 0.0  # s
         self.newest: float | None = None
@@ -256,8 +258,10 @@ class LatencyMeter:
         if now >= self._reported_until:
             self._reported = _NO_FIGURES
         fresh, self._fresh, self.recent = self._fresh, 0, None
+        seconds = 1 if self._ticked is None else max(1, round(now - self._ticked))
+        self._ticked = now
         if fresh:
-            newest = sorted([*self._samples][-fresh:])
+            newest = sorted([*self._samples][-ceil(fresh / seconds) :])
             self.recent = newest[len(newest) // 2]
         counts, samples = self._counts, self._samples
         if self._lasts and (fresh or counts):
