@@ -204,7 +204,7 @@ class Keeping(EnginePart):
 
 def _remove_unfinished(folder: Path, wall: float) -> None:
     """Remove what bridges left that were killed while they wrote, at `wall` (s since the epoch)."""
-    for part in folder.glob(f".*{UNFINISHED}"):
+    for part in folder.glob(f".*.mcap{UNFINISHED}"):  # not the folders of stretches (`rsb_extras.disk_ring`)
         with suppress(FileNotFoundError):  # another bridge has finished it
             if wall - part.stat().st_mtime > _LEFT_AFTER:
                 remove_file(part)

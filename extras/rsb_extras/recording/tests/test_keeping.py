@@ -292,7 +292,11 @@ def test_what_killed_bridges_left_is_removed(talking: Engine, folder: Path) -> N
     for part in (left, fresh):
         part.write_bytes(bytes(100))
     os.utime(left, (0.0, 0.0))
+    stretch = folder / f".robot1-1700000000000{UNFINISHED}"  # of the ring on disk, whose bridge is away
+    stretch.mkdir()
+    os.utime(stretch, (0.0, 0.0))
     keep(talking)
+    assert stretch.exists()
     assert not left.exists()
     assert fresh.exists()  # another bridge may be about to write it
     with fresh.open("r+b") as file:
