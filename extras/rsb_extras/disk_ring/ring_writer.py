@@ -228,10 +228,13 @@ class RingWriter:
         return None if is_awaited else undescribed(topic)
 
     def _keep(self, occasion: Occasion, answer: Future[Path]) -> None:
+        is_awaited = answer.set_running_or_notify_cancel()  # from here on, nobody can take the question back
         if self._files is None or self._is_failing:
-            answer.set_exception(LinkError(RingProblem.NOT_WRITTEN()))
+            found: Path | str = RingProblem.NOT_WRITTEN()
+        else:
+            found = self._files.keep(occasion, self.lost)
+        if not is_awaited:
             return
-        found = self._files.keep(occasion, self.lost)
         if isinstance(found, str):
             answer.set_exception(LinkError(found))
         else:

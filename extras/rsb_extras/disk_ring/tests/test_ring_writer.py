@@ -160,6 +160,15 @@ def test_stretch_is_answered_at_once(bed: WriterBed) -> None:
     bed.end()
 
 
+def test_question_that_is_taken_back_does_not_stop_the_ring(bed: WriterBed) -> None:
+    assert bed.writer.keep(occasion()).cancel()
+    bed.writer.start()
+    bed.put("after")
+    bed.end()
+    assert not bed.has(RingCode.STOPPED)
+    assert texts(bed.segments[0]) == ["after"]
+
+
 def test_next_writer_waits_for_the_files(bed: WriterBed, tmp_path: Path) -> None:
     bed.writer.start()
     bed.put("one")
