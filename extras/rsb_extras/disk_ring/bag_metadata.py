@@ -53,7 +53,7 @@ class BagFigures(NamedTuple):
 
 
 def bag_metadata(files: Sequence[Path], custom: Mapping[str, str]) -> tuple[str, BagFigures]:
-    """Return the metadata of MCAP files that are whole, and what is in them.
+    """Return the metadata of MCAP files, and what is in those that are whole.
 
     Args:
         custom: what rosbag2 calls ``custom_data``.
@@ -98,13 +98,18 @@ def _topics(counts: Mapping[_Topic, int]) -> Iterable[dict[str, Any]]:
 def _read(path: Path) -> _File:
     from mcap.reader import make_reader  # noqa: PLC0415 -- bridges that record nothing do without
 
-    with path.open("rb") as file:
-        summary = make_reader(file).get_summary()
-    if summary is None or summary.statistics is None:
-        return _File(path, 0, 0, Counter())
     counts: Counter[_Topic] = Counter()
-    for number, count in summary.statistics.channel_message_counts.items():
-        channel = summary.channels[number]
-        type_hash, profiles = (channel.metadata.get(key, "") for key in ("topic_type_hash", "offered_qos_profiles"))
-        counts[_Topic(channel.topic, summary.schemas[channel.schema_id].name, type_hash, profiles)] += count
+    try:
+        with path.open("rb") as file:
+            summary = make_reader(file).get_summary()
+        if summary is None or summary.statistics is None:
+            return _File(path, 0, 0, Counter())
+        for number, count in summary.statistics.channel_message_counts.items():
+            channel = summary.channels[number]
+            type_hash, profiles = (channel.metadata.get(key, "") for key in ("topic_type_hash", "offered_qos_profiles"))
+            counts[_Topic(channel.topic, summary.schemas[channel.schema_id].name, type_hash, profiles)] += count
+    except OSError:
+        raise
+    except Exception:  # noqa: BLE001 -- the disk has damaged it: a reader says so, and the ring has to go on
+        return _File(path, 0, 0, Counter())
     return _File(path, summary.statistics.message_start_time, summary.statistics.message_end_time, counts)

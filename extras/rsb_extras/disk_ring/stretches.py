@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 Reason: TypeAlias = Literal["fault", "link", "disarm", "note"]
 NOTE: Reason = "note"
-_AUTOMATIC = re.compile(r"-(fault|link|disarm)(-\d+)?$")
+_AUTOMATIC = re.compile(r"-\d{8}-\d{6}-(fault|link|disarm)(-\d+)?$")
 """The end of the name of a stretch that no operator has asked for."""
 _STATE = "stretch.json"
 _NAMES = 100

@@ -141,6 +141,32 @@ def test_operators_stretches_fill_the_bound(tmp_path: Path) -> None:
     bed.end()
 
 
+def test_folders_of_others_are_not_removed(tmp_path: Path) -> None:
+    own = tmp_path / "recordings" / "drive-with-fault"
+    own.mkdir(parents=True)
+    for name in ("metadata.yaml", "drive_0.mcap"):
+        (own / name).write_bytes(bytes(9_000_000))
+    os.utime(own / "metadata.yaml", (0.0, 0.0))
+    bed = RingBed(tmp_path, RecordLimits(disk=0.1, free=0.0, before=0.0, after=1.0, kept=0.02))
+    for _ in range(3):
+        bed.keep("fault")
+        for _ in range(100):
+            bed.write(os.urandom(45_000).hex())
+        bed.pass_time(2)
+    assert own.exists()
+    bed.end()
+
+
+def test_damaged_file_in_a_stretch_does_not_stop_the_ring(bed: RingBed) -> None:
+    bed.pass_time(40)
+    bed.keep()
+    (part,) = (bed.state / "recordings").glob(".*")
+    (first,) = part.glob("*.mcap")
+    first.write_bytes(first.read_bytes()[:-40] + bytes(40))
+    bed.pass_time(31)
+    assert metadata(bed.stretches[0])["message_count"] == 39, "those of the file that is whole"
+
+
 def test_cut_stretch_is_finished_by_the_next_process(tmp_path: Path) -> None:
     bed = RingBed(tmp_path)
     bed.pass_time(100)
