@@ -173,12 +173,12 @@ def test_how_long_a_ping_takes(step: int, loop: VirtualLoop, context: Context) -
     """The last answer's time, or how long the oldest ping has waited for one, though a clock is set meanwhile."""
     keepalive = Keepalive(Link(context))
     assert keepalive.round_trip is None
-    ping = keepalive.ping(0)
+    ping = keepalive.tick(0)
     wait(loop, 0.3)
     set_clock(context.clock, step)
     keepalive.answered(Pong(n=ping.n, sent=ping.sent, received=ping.sent, answered=ping.sent))
     assert keepalive.round_trip == pytest.approx(0.3, abs=0.01)
     for _ in range(3):
-        keepalive.ping(0)
+        keepalive.tick(0)
         wait(loop, 1.0)
     assert keepalive.round_trip == pytest.approx(3.0)

@@ -451,10 +451,7 @@ class BaseLink:
     def tick(self) -> None:
         """Do the link's own regular work once a second, after the routes' and before that of its extensions."""
         if self.present is not None:
-            keepalive = self.keepalive
-            keepalive.tick()
-            # With the receipts and the report of this turn: the ping before them, but stamped after they were made.
-            self.present.control.gather(lambda: keepalive.ping(self.handled))
+            self.send(self.keepalive.tick(self.handled))
             self.present.tick()
         self.end.tick()
 

@@ -127,7 +127,6 @@ class ControlChannel(StreamHandler):
         self._volume = TokenBucket(_BYTES, _BYTES_A_SECOND, now)
         self._entries = TokenBucket(_ENTRIES, _ENTRIES_A_SECOND, now)
         self._work: _Unfinished | None = None  # of the newest message
-        self._gathered: list[bytes] | None = None  # messages of this turn, encoded, while they are gathered
         self._owes = False  # more came than the volume allows
         stream.handler = self
 
@@ -137,33 +136,7 @@ class ControlChannel(StreamHandler):
 
     def send_encoded(self, content: bytes) -> None:
         """Send a message as it was encoded; see `send`."""
-        if self._gathered is not None:
-            self._gathered.append(content)
-        else:
-            self._write(self._connection.send_encoded(content))
-
-    def gather(self, first: Callable[[], ControlMessageBase]) -> None:
-        """Have all messages of this turn of the loop leave together: each write costs this side and the peer a wake-up.
-
-        Args:
-            first: returns the message that leaves before them, at the end of the turn.
-        """
-        self._end_gathering()
-        self._gathered = gathered = list[bytes]()
-
-        def send() -> None:
-            if self._gathered is gathered and not self.over:
-                gathered.insert(0, encode(first()))
-                self._end_gathering()
-
-        self._loop.call_soon(send)
-
-    def _end_gathering(self) -> None:
-        gathered, self._gathered = self._gathered, None
-        if gathered:
-            self._write(b"".join([self._connection.send_encoded(each) for each in gathered]))
-
-    def _write(self, sealed: bytes) -> None:
+        sealed = self._connection.send_encoded(content)
         if not self.stream.congested:
             self.stream.write(sealed)
         elif len(self._unsent) + len(sealed) > _MOST_WAITING:
@@ -178,7 +151,6 @@ class ControlChannel(StreamHandler):
 
     def shut_down(self, reason: str, *, retry_after: float | None, code: EventCode = EventCode.LINK_CLOSED) -> None:
         """Tell the peer that this ends on purpose, and end it."""
-        self._end_gathering()
         self.send(Shutdown(reason=sanitize_text(reason), retry_after=retry_after))
         self._flush()  # `close` sends what waits in the stream, and knows nothing of what waits here
         self.stream.close(reason)

@@ -172,14 +172,15 @@ class Keepalive:
             due = min(due, doubtful_at if now < doubtful_at else now + _DOUBTED_EVERY)
         self._watchdog = self._context.loop.call_at(due, self._watch_silence, control)
 
-    def tick(self) -> None:
-        """Tell the kernel what is known of the peer, once a second."""
+    def tick(self, handled: int) -> Ping:
+        """Tell the kernel what is known of the peer, once a second, and return the ping to send, as `ping`."""
         for each in self._link.carriers():
             if isinstance(each, Stream):
                 if self._patience is not None:  # each second, as streams come and go; a repetition costs nothing
                     each.give_up_after(self._patience + _KERNELS)
                 if self.clock.rtt is not None:  # of an answered ping: an open one may wait for the network
                     each.round_trip_is(self.clock.rtt)
+        return self.ping(handled)
 
     def ping(self, handled: int) -> Ping:
         """Return a further ping, to be sent now, with how many control messages of the association were handled."""
