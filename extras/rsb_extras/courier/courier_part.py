@@ -160,7 +160,8 @@ class CourierPart(EnginePart):
         return f"{session.role} {session.name}"
 
     def open(self) -> None:
-        self._loading = self._context.loop.create_task(self._load())
+        if next(self._kept.fetched.glob(f".*{SPOOL}"), None) is not None:
+            self._loading = self._context.loop.create_task(self._load())
 
     async def _load(self) -> None:
         """Take up the fetches of this session that a bridge before has left."""
