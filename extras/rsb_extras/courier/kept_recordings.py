@@ -236,11 +236,15 @@ def _cause_and_note(path: Path) -> tuple[str, str]:
     try:
         text = _read(path / _METADATA, _METADATA_LIMIT)
         data = yaml.load(text, Loader=yaml.CSafeLoader)["rosbag2_bagfile_information"]["custom_data"]
-        return sanitize_text(str(data.get("cause", "")), TEXT_LENGTH), sanitize_text(
-            str(data.get("note", "")), TEXT_LENGTH
-        )
+        cause, note, text = (_text(data.get(name)) for name in ("cause", "note", "text"))
     except Exception:  # noqa: BLE001 -- it is a comfort, and may say anything
         return "", ""
+    return cause, note or text
+
+
+def _text(value: object) -> str:
+    """Return a text, or an empty one for anything else: lists of lists may take all memory as text."""
+    return sanitize_text(value, TEXT_LENGTH) if isinstance(value, str) else ""
 
 
 def _read(path: Path, size: int) -> bytes:

@@ -42,6 +42,28 @@ def test_recordings_are_listed_with_what_is_in_them(bridge: Bridge, bags: Path) 
     ]
 
 
+def test_why_a_recording_was_kept_is_listed(bridge: Bridge, bags: Path) -> None:
+    """As `rsb_extras.disk_ring` writes it; what else may stand there takes neither time nor memory."""
+    deep = ["a0: &a0 [many]", *(f"a{at}: &a{at} [{', '.join([f'*a{at - 1}'] * 10)}]" for at in range(1, 12))]
+    kept = {
+        "fault": ["cause: fault", "text: no data for 3 s"],
+        "note": ["cause: note", "text: before", "note: it fell; it fell again"],
+        "odd": ["cause: *a11", "note: *a11"],
+    }
+    for name, lines in kept.items():
+        (bags / name).mkdir()
+        write_bag(bags / name / f"{name}_0.mcap", messages(1))
+        head = [*deep, "rosbag2_bagfile_information:", "  custom_data:"]
+        (bags / name / "metadata.yaml").write_text("\n".join((*head, *(f"    {each}" for each in lines))))
+    pc, _ = two_sides(bridge, bags)
+    found = {each.name: (each.cause, each.note) for each in listed(pc).values()}
+    assert found == {
+        "fault": ("fault", "no data for 3 s"),
+        "note": ("note", "it fell; it fell again"),
+        "odd": ("", ""),
+    }
+
+
 def test_a_recording_comes_message_for_message(bridge: Bridge, bags: Path, fetched: Path) -> None:
     written = write_bag(bags / "drive.mcap", messages(3))
     pc, robot = two_sides(bridge, bags)
