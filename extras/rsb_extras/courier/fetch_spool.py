@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from rsb_bridge.config.files import UNFINISHED
+from rsb_bridge.config.files import UNFINISHED, is_there
 from rsb_bridge.feature_api import Count, Name, Wording, make_folder, replace_file
 from rsb_extras.courier.courier_records import Cursor, ListedRecording, Wanted
 from rsb_extras.courier.pieces import (
@@ -23,6 +23,8 @@ from rsb_extras.courier.pieces import (
     decode_piece,
 )
 from rsb_extras.recording.mcap_file import new_recording
+from rsb_extras.recording.reading.open_recording import summary_of
+from rsb_extras.recording.reading.stored_message import RecordingError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -103,7 +105,7 @@ class FetchSpool:
         try:
             for data in spool._read():
                 spool._count(decode_piece(data), len(data))
-        except PieceError:  # the disk has lost a part of it: it is got again
+        except (PieceError, OSError):  # the disk has lost a part of it: it is got again
             pass
         return spool
 
@@ -134,19 +136,24 @@ class FetchSpool:
         """
         if self.taken > _TIMES_LARGER * self.asked.listed.size + _MORE:
             raise PieceError(SpoolProblem.TOO_MUCH())
-        found = os.statvfs(self.folder)
-        if found.f_bavail * found.f_frsize < _LEFT_FREE:
-            problem = SpoolProblem.DISK_FULL(folder=self.folder.parent, least=_LEFT_FREE / 1e9)
-            raise OSError(errno.ENOSPC, problem)
+        self._check_room()
         check_follows(piece, self.at)
         self._path(self._pieces + 1).write_bytes(data)
         self._count(piece, len(data))
+
+    def _check_room(self, wanted: int = 0) -> None:
+        """Raise OSError if so many bytes leave less than has to stay free."""
+        found = os.statvfs(self.folder)
+        if found.f_bavail * found.f_frsize < _LEFT_FREE + wanted:
+            problem = SpoolProblem.DISK_FULL(folder=self.folder.parent, least=(_LEFT_FREE + wanted) / 1e9)
+            raise OSError(errno.ENOSPC, problem)
 
     def messages(self) -> Iterator[StoredMessage]:
         """Yield all messages of the pieces, in their order; raises `PieceError`, OSError."""
         wanted = self.asked.wanted
         joiner = Joiner(wanted.topics, wanted.begin, wanted.end)
         for data in islice(self._read(), self._pieces):
+            self._check_room()
             yield from joiner.add(decode_piece(data).content())
         joiner.finish()
 
@@ -161,6 +168,10 @@ class FetchSpool:
         """
         path = self.path
         path.with_name(f".{path.name}{UNFINISHED}").unlink(missing_ok=True)  # of a bridge that was killed
+        if is_there(path) and (count := self._written()):
+            self.remove()
+            return count
+        self._check_room(self.taken)
         with new_recording(path) as recording:
             for message in self.messages():
                 recording.copy(message)
@@ -168,6 +179,14 @@ class FetchSpool:
                     raise InterruptedError
         self.remove()
         return recording.messages
+
+    def _written(self) -> int:
+        """Return how many messages the file has if it has all: a bridge was killed before it removed the pieces."""
+        try:
+            count = summary_of(self.path).messages
+        except RecordingError:
+            return 0
+        return count if count == sum(1 for _ in self.messages()) else 0
 
     @property
     def path(self) -> Path:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import deque
 from typing import TYPE_CHECKING
 
@@ -10,7 +11,8 @@ import pytest
 import zstandard
 from tests.support.wording import pattern
 
-from rsb_extras.courier.courier_records import LATEST, Cursor
+from rsb_extras.courier.courier_records import LATEST, Cursor, ListedRecording, Wanted
+from rsb_extras.courier.fetch_spool import AskedFetch, FetchSpool
 from rsb_extras.courier.pieces import (
     PIECE,
     Cutter,
@@ -24,10 +26,13 @@ from rsb_extras.courier.pieces import (
     encode_piece,
 )
 from rsb_extras.courier.tests.bags import BEGAN, SECOND, channel, messages
+from rsb_extras.courier.tests.courier_places import LEFT_FREE
+from rsb_extras.recording.mcap_file import new_recording
 from rsb_extras.recording.reading.stored_message import StoredMessage
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
+    from pathlib import Path
 
 START = Cursor()
 TOPICS = ("/scan", "/tf")
@@ -54,6 +59,41 @@ def test_joined_pieces_are_the_messages() -> None:
     assert len(pieces) > 4
     assert joined(pieces) == content
     assert all(len(piece.content().messages) == PIECE for piece in pieces[:-1])
+
+
+def spooled(folder: Path, content: list[StoredMessage]) -> FetchSpool:
+    """Return a fetch whose pieces have all come."""
+    wanted = Wanted("0" * 16, "0" * 16, TOPICS)
+    asked = AskedFetch("robot1-drive", "server pc", "robot1", ListedRecording("0" * 16, "drive", "0" * 16), wanted)
+    spool = FetchSpool.new(folder, asked)
+    for piece in cut(content):
+        spool.add(piece, encode_piece(piece))
+    return spool
+
+
+def test_a_bridge_killed_behind_the_file_is_done(tmp_path: Path) -> None:
+    """It had no time to remove the pieces."""
+    content = [*messages(1)]
+    spool = spooled(tmp_path, content)
+    with new_recording(spool.path) as recording:
+        for message in content:
+            recording.copy(message)
+    assert spool.write(lambda: False) == len(content)
+    assert [*tmp_path.iterdir()] == [spool.path]
+    other = spooled(tmp_path, content[:-1])
+    with pytest.raises(FileExistsError):
+        other.write(lambda: False)
+    assert other.folder.exists(), "the file of that name is another one"
+
+
+def test_the_file_leaves_room_on_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    spool = spooled(tmp_path, [*messages(1)])
+    free = os.statvfs(tmp_path)
+    LEFT_FREE.set(monkeypatch, free.f_bavail * free.f_frsize - spool.taken // 2)
+    with pytest.raises(OSError, match="make room there"):
+        spool.write(lambda: False)
+    assert spool.folder.exists()
+    assert not spool.path.exists()
 
 
 def test_cutting_goes_on_at_any_piece() -> None:
