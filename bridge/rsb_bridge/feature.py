@@ -48,6 +48,7 @@ BRINGS_COMMANDS: Mapping[str, str] = {
     "lifecycle": "node_control", "look": "pictures", "mcp": "mcp_server", "nodes": "nodes", "pub": "driving",
     "record": "recording",
     "report": "history", "service": "service", "units": "units",
+    **dict.fromkeys(("component", "param"), "node_control"), **dict.fromkeys(("play", "review"), "playing"),
 }  # fmt: skip
 """The same of subcommands."""
 BRINGS_ACTIONS: Mapping[str, str] = {
@@ -435,6 +436,10 @@ class Feature:
 
     def tiles(self) -> Iterable[Any]:
         """Return tiles of lines beside pictures, subclasses of `rsb_console.widgets.tile_lines.TileLines`."""
+        return ()
+
+    def look_options(self) -> Iterable[Any]:
+        """Return what else can be looked at now, each a `rsb_console.widgets.look_option.LookOption`."""
         return ()
 
     def link_facts(self) -> Iterable[Any]:

@@ -57,6 +57,7 @@ if TYPE_CHECKING:
     from rsb_console.widgets.filter import Prompt, RowFilter
     from rsb_console.widgets.form import Field, FormScreen, Spec
     from rsb_console.widgets.lines import FixedLines, Line, ScrolledLines, clip, fit, wrapped
+    from rsb_console.widgets.look_option import LookOption, look_options
     from rsb_console.widgets.picker import Suggestion
     from rsb_console.widgets.selectable_list import SelectableList
     from rsb_console.widgets.tile_lines import TileLines, added_tiles
@@ -121,6 +122,7 @@ _NAMES = {
     "rsb_console.widgets.filter": ("Prompt", "RowFilter"),
     "rsb_console.widgets.form": ("Field", "FormScreen", "Spec"),
     "rsb_console.widgets.lines": ("FixedLines", "Line", "ScrolledLines", "clip", "fit", "wrapped"),
+    "rsb_console.widgets.look_option": ("LookOption", "look_options"),
     "rsb_console.widgets.picker": ("Suggestion",),
     "rsb_console.widgets.selectable_list": ("SelectableList",),
     "rsb_console.widgets.tile_lines": ("TileLines", "added_tiles"),

@@ -29,8 +29,6 @@ if TYPE_CHECKING:
 
     from rsb_console.feature_console import Console
 
-RECORDING = "recording"
-"""The first of two topics of a subject that is no tile: the second one is the path of a recording."""
 _Name = Annotated[str, Meta(min_length=1, max_length=255)]
 
 

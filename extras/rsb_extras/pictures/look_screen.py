@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import asyncio
-import os
 from typing import TYPE_CHECKING
 
 from textual import on, work
 from textual.widgets import Input
 
 from rsb_bridge.feature_api import EngineError, State, escape_text, other_side
-from rsb_console.feature_console import Suggestion, added_tiles
+from rsb_console.feature_console import LookOption, Suggestion, added_tiles, look_options
 from rsb_extras.pictures.drawing import has_picture, is_layer, is_map
-from rsb_extras.pictures.layouts import RECORDING, Subject, layouts_for
+from rsb_extras.pictures.layouts import Subject, layouts_for
 from rsb_extras.pictures.own_tiles import RatesLines
 from rsb_extras.pictures.picture import Wish
 from rsb_extras.pictures.search_screen import SearchScreen
-from rsb_extras.playing.recordings_here import recordings_here
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -36,17 +34,17 @@ _ASKED_EVERY = 3.0
 """s between two questions to all sides. A round figure: each asks for the whole graph, over the link."""
 
 
-class LookScreen(SearchScreen[tuple[Subject, ...]]):
-    """Lists layouts, the topics of all sides, those with a picture first, tiles without a topic, and recordings."""
+class LookScreen(SearchScreen[tuple[Subject, ...] | LookOption]):
+    """Lists layouts, the topics of all sides, those with a picture first, tiles without a topic, and what else there is."""
 
     def __init__(self, console: Console) -> None:
         super().__init__("Look at a topic", _KEYS, Input(id="look-search"))
         self.console = console
         self._found: dict[str, tuple[TopicInfo, ...]] = {}
-        self._subjects: dict[str, tuple[Subject, ...]] = {}
+        self._choices: dict[str, tuple[Subject, ...] | LookOption] = {}
         self._problems: list[str] = []
         self._asking = True
-        self._recordings = recordings_here(os.environ)
+        self._options = look_options()
 
     def on_mount(self) -> None:
         self.relist()
@@ -94,8 +92,9 @@ class LookScreen(SearchScreen[tuple[Subject, ...]]):
         yield from self._topics(found)
         for tile in added_tiles().values():
             yield self._other(tile.name, tile.about, Subject((tile.name,)))
-        for path in self._recordings:
-            yield self._other(f"{RECORDING} {escape_text(path.name)}", "", Subject((RECORDING, str(path))))
+        for option in self._options:
+            name, about = escape_text(option.name), escape_text(option.about)
+            yield self._row(f"{name}\n{about}", name, about, option)
 
     def _overview(self, side: str) -> tuple[Subject, ...]:
         """Return tiles of a side's camera, map and speed, and of the rates; none if it has only one of these."""
@@ -110,11 +109,14 @@ class LookScreen(SearchScreen[tuple[Subject, ...]]):
         return (*tiles, Subject((RatesLines.name,), side)) if len(tiles) > 1 else ()
 
     def _other(self, name: str, shown: str, *subjects: Subject) -> Suggestion:
-        self._subjects[name] = subjects
+        return self._row(name, name, shown, subjects)
+
+    def _row(self, key: str, name: str, shown: str, choice: tuple[Subject, ...] | LookOption) -> Suggestion:
+        self._choices[key] = choice
         # A search for a topic finds that, and not what contains it.
         contents = "" if self.text.value else shown
         line: Line = ((f"{name:<{_TOPIC + _SIDE}} ", "strong"), (contents, "dim"))
-        return Suggestion(name, name, lambda _width: line)
+        return Suggestion(key, name, lambda _width: line)
 
     def _known(self, subject: Subject) -> Subject:
         """Return a tile of a layout with what is known of its topic: its type, and what can be laid over it."""
@@ -135,7 +137,7 @@ class LookScreen(SearchScreen[tuple[Subject, ...]]):
         role = self.console.snapshot().role
         for side, info in sorted(found, key=lambda each: (not has_picture(each[1].type_name), each[1].topic, each[0])):
             key = f"{side}\n{info.topic}"
-            self._subjects[key] = (Subject((info.topic,), side, info.type_name, self._layers(side, info)),)
+            self._choices[key] = (Subject((info.topic,), side, info.type_name, self._layers(side, info)),)
             shown = escape_text(other_side(role, side) if side else "here")[: _SIDE - 1]
             line: Line = (
                 (f"{escape_text(info.topic):<{_TOPIC}} ", ""),
@@ -147,7 +149,7 @@ class LookScreen(SearchScreen[tuple[Subject, ...]]):
     @on(Input.Submitted)
     def _choose(self) -> None:
         if (current := self.list.current) is not None:
-            self.dismiss(self._subjects[current.key])
+            self.dismiss(self._choices[current.key])
 
     def on_selectable_list_chosen(self) -> None:
         self._choose()

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import asyncio
 import math
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from textual import work
 from textual.binding import Binding
@@ -13,22 +11,19 @@ from textual.containers import Container
 from textual.geometry import Size, Spacing
 
 from rsb_bridge.feature_api import Wording
-from rsb_console.feature_console import DIALOG, Field, FormScreen, FullScreen, SideBox, Spec, added_tiles
+from rsb_console.feature_console import DIALOG, Field, FormScreen, FullScreen, LookOption, SideBox, Spec, added_tiles
 from rsb_console.library_internals.textual_internals import DrawsChangesOnly
 from rsb_extras.pictures.drawing import is_layer
-from rsb_extras.pictures.layouts import LAYOUTS, RECORDING, Subject, as_written, written
+from rsb_extras.pictures.layouts import LAYOUTS, Subject, as_written, written
 from rsb_extras.pictures.line_tiles import LinesTile
 from rsb_extras.pictures.look_screen import LookScreen
 from rsb_extras.pictures.picture_tile import PictureTile
 from rsb_extras.pictures.tile import ON_ROBOT, Tile
-from rsb_extras.playing.review_screen import ReviewScreen
-from rsb_extras.recording.reading.open_recording import OpenRecording
-from rsb_extras.recording.reading.stored_message import RecordingError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from textual.app import App, ComposeResult
+    from textual.app import ComposeResult
     from textual.events import DescendantFocus
 
     from rsb_bridge.feature_api import RouteSnapshot
@@ -220,7 +215,8 @@ class ViewScreen(FullScreen[bool], DrawsChangesOnly[bool]):
     async def action_add(self) -> None:
         """Add tiles, which the operator chooses."""
         chosen = await self.console.ask(LookScreen(self.console))
-        if chosen and await has_reviewed(self.console, self.app, chosen[0]):
+        if isinstance(chosen, LookOption):
+            await chosen.show(self.console, self.app)
             return
         tiles = [_tile(self.console, subject) for subject in chosen or ()]
         if not tiles:
@@ -275,23 +271,12 @@ def view(console: Console, route: RouteSnapshot) -> ViewScreen:
     return ViewScreen(console, Subject((route.topic,), "", route.type_name, others))
 
 
-async def has_reviewed(console: Console, app: App[Any], subject: Subject) -> bool:
-    """Show a recording if the operator has chosen one, and return whether they have."""
-    if subject.topics[0] != RECORDING:
-        return False
-    try:
-        recording = await asyncio.to_thread(OpenRecording, Path(subject.topics[1]))
-    except RecordingError as error:
-        console.notify(str(error), title="Not shown", severity="warning", markup=False, timeout=15)
-    else:
-        app.push_screen(ReviewScreen(recording))
-    return True
-
-
 async def look(screen: MainScreen) -> None:
     """Look at topics of either side, bridged or not, at a layout, or at rates, the log and the like."""
     console = screen.console
-    if console.engine is None or not (subjects := await console.ask(LookScreen(console))):
+    if console.engine is None or not (chosen := await console.ask(LookScreen(console))):
         return
-    if not await has_reviewed(console, screen.app, subjects[0]):
-        screen.app.push_screen(ViewScreen(console, *subjects))
+    if isinstance(chosen, LookOption):
+        await chosen.show(console, screen.app)
+    else:
+        screen.app.push_screen(ViewScreen(console, *chosen))

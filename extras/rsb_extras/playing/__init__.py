@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, ClassVar
 from rsb_bridge.feature_api import Feature
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
 
-    from rsb_console.feature_console import AddCommand, Complete
+    from rsb_console.feature_console import AddCommand, Complete, LookOption
 
 
 class PlayingFeature(Feature):
@@ -21,6 +21,11 @@ class PlayingFeature(Feature):
 
         add_play(add, complete)
         add_review(add, complete)
+
+    def look_options(self) -> Iterable[LookOption]:
+        from rsb_extras.playing.recordings_here import options  # noqa: PLC0415
+
+        return options()
 
 
 FEATURE = PlayingFeature()

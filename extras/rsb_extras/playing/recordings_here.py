@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+import asyncio
+import os
 from contextlib import suppress
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 from rsb_bridge.config.state_folder import searched_folders
+from rsb_console.feature_console import LookOption
 from rsb_extras.recording.keep_last import RECORDINGS
+from rsb_extras.recording.reading.open_recording import OpenRecording
+from rsb_extras.recording.reading.stored_message import RecordingError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
     from pathlib import Path
+
+    from textual.app import App
+
+    from rsb_console.feature_console import Console
 
 _LISTED = 20  # of the newest ones. A round figure: they come behind all topics
 
@@ -21,6 +31,24 @@ def recordings_here(environ: Mapping[str, str]) -> list[Path]:
     for folder in searched_folders(environ):
         with suppress(OSError):  # it is not there, or another user's
             for path in (folder / RECORDINGS).iterdir():
-                if not path.name.startswith(".") and (path.suffix in (".mcap", ".db3") or path.is_dir()):
-                    found[path] = path.stat().st_mtime
+                with suppress(OSError):  # it is gone by now
+                    if not path.name.startswith(".") and (path.suffix in (".mcap", ".db3") or path.is_dir()):
+                        found[path] = path.stat().st_mtime
     return sorted(found, key=lambda path: -found[path])[:_LISTED]
+
+
+def options() -> Iterator[LookOption]:
+    """Yield the recordings, to be looked at."""
+    for path in recordings_here(os.environ):
+        yield LookOption(f"recording {path.name}", str(path.parent), partial(_show, path))
+
+
+async def _show(path: Path, console: Console, app: App[Any]) -> None:
+    from rsb_extras.playing.review_screen import ReviewScreen  # noqa: PLC0415 -- the list of all is open sooner without
+
+    try:
+        recording = await asyncio.to_thread(OpenRecording, path)
+    except RecordingError as error:
+        console.notify(str(error), title="Not shown", severity="warning", markup=False, timeout=15)
+    else:
+        app.push_screen(ReviewScreen(recording))

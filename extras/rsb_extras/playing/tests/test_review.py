@@ -16,6 +16,7 @@ from tests.support.wording import says
 from rsb_extras.pictures.picture import Pixels, Series, Wish
 from rsb_extras.pictures.renderer import Renderer
 from rsb_extras.playing.recorded_pictures import SECOND, RecordedPictures
+from rsb_extras.playing.recordings_here import recordings_here
 from rsb_extras.playing.review_app import ReviewApp
 from rsb_extras.playing.review_command import NoReview
 from rsb_extras.playing.review_screen import ReviewScreen, ReviewText
@@ -184,6 +185,29 @@ async def test_look_lists_recordings_of_this_machine(
     await shown(pilot, "/camera  2  sensor_msgs/msg/Image")
     await pilot.press("escape")
     await shown(pilot, "/robot2/scan")
+
+
+def test_link_that_leads_nowhere_hides_no_recording(tmp_path: Path) -> None:
+    folder = tmp_path / "recordings"
+    folder.mkdir()
+    for number in range(20):
+        (folder / f"gone{number}.mcap").symlink_to(tmp_path / "none.mcap")
+    (folder / "stretch.mcap").touch()
+    assert recordings_here({"STATE_DIRECTORY": str(tmp_path)})[:1] == [folder / "stretch.mcap"]
+
+
+@on_main(WIDE)
+async def test_recordings_of_one_name_are_told_apart(
+    app: Any, pilot: Any, path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folders = [tmp_path / "a", tmp_path / "b"]
+    monkeypatch.setattr("rsb_extras.playing.recordings_here.searched_folders", lambda _: folders)
+    for folder in folders:
+        (folder / "recordings").mkdir(parents=True)
+        shutil.copy(path, folder / "recordings" / "stretch.mcap")
+    await pilot.press("V", *"recording")
+    await shown(pilot, "recording stretch.mcap")
+    assert text(app).count("recording stretch.mcap") == 2
 
 
 @on_main(WIDE)
