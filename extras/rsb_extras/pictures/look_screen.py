@@ -35,7 +35,7 @@ _ASKED_EVERY = 3.0
 
 
 class LookScreen(SearchScreen[tuple[Subject, ...] | LookOption]):
-    """Lists layouts, the topics of all sides, those with a picture first, tiles without a topic, and what else there is."""
+    """Lists layouts, the topics of all sides, those with a picture first, tiles without a topic, and other options."""
 
     def __init__(self, console: Console) -> None:
         super().__init__("Look at a topic", _KEYS, Input(id="look-search"))
