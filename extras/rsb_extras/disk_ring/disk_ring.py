@@ -84,7 +84,7 @@ class DiskRing(EnginePart):
         if self.writer is not None:
             self._also.follow(())
             self._passing.end(self.writer.put)
-            self.writer.stop()
+            self.writer.stop(has_next=limits is not None)
         self._limits, self.writer = limits, None
         if limits is None:
             return

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.config.files import remove_file
 from rsb_bridge.feature_api import Level, make_folder, why_not_written
-from rsb_extras.disk_ring.latched_messages import LatchedMessages
 from rsb_extras.disk_ring.ring_codes import RingCode, RingText
 from rsb_extras.disk_ring.segments import SUFFIX, OpenSegment, Segment, complete, is_whole
 from rsb_extras.disk_ring.stretches import FullError, StretchFolder
@@ -23,6 +22,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from rsb_bridge.feature_api import EventLog, TopicSpec
+    from rsb_extras.disk_ring.latched_messages import LatchedMessages
     from rsb_extras.disk_ring.stretches import KeptStretchFolder, Occasion, Stretch
     from rsb_extras.recording import RecordLimits
     from rsb_extras.recording.message_ring import RingMessage
@@ -79,9 +79,11 @@ class RingFiles:
 
     Args:
         described: what files say of topics, as far as known; it grows.
+        latched: what late joiners get already.
 
     Attributes:
         folder: of its segments.
+        latched: with what has come since.
     """
 
     def __init__(
@@ -91,6 +93,7 @@ class RingFiles:
         clocks: RingClocks,
         log: EventLog,
         described: Mapping[TopicSpec, RecordedTopic],
+        latched: LatchedMessages,
     ) -> None:
         self._limits, self._clocks, self._log, self._described = limits, clocks, log, described
         self._claim = Claim(place.folder / RING, place.name, place.role)
@@ -105,7 +108,7 @@ class RingFiles:
         self._last = 0
         self._is_compressed = True
         self._unsynced = self._head = 0
-        self._latched = LatchedMessages()
+        self.latched = latched
         self._stretch: Stretch | None = None
         self._until = 0.0
         self._lost_before = 0
@@ -154,7 +157,7 @@ class RingFiles:
         segment.add(topic, message, message.time)
         self._unsynced += len(message.content)
         if message.topic.qos.latched:
-            self._latched.add(message)
+            self.latched.add(message)
         if max(segment.size, segment.content / 4) >= self._segment_size + self._head:
             self.finish_segment()
             self.trim()
@@ -165,7 +168,7 @@ class RingFiles:
         self._last += 1
         path = self.folder / f"{self._last:08d}{SUFFIX}"
         segment = OpenSegment(path, self._last, first.at, is_compressed=self._is_compressed)
-        latched = [*self._latched]
+        latched = [*self.latched]
         for early, each in zip(range(len(latched), 0, -1), latched, strict=True):
             topic = self._described.get(each.topic) or undescribed(each.topic)
             segment.add(topic, each, first.time - early)  # ns apart, as some readers warn of a time that comes twice

@@ -10,6 +10,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from rsb_bridge.feature_api import Level, LinkError, why_not_written
+from rsb_extras.disk_ring.latched_messages import LatchedMessages
 from rsb_extras.disk_ring.ring_codes import RingCode, RingProblem, RingText
 from rsb_extras.disk_ring.ring_files import RING, RingFiles, undescribed
 from rsb_extras.recording.message_ring import RingMessage
@@ -35,6 +36,9 @@ _BREATH_AFTER, _BREATH = 64 << 10, 0.0005
 """Bytes that are written before the thread lets others run, and for how long (s), as `recording.keeping` has it."""
 _DEFINED_WITHIN = 1.0
 """s that messages wait for their type's definition. A round figure: nodes answer within milliseconds."""
+_ASKED_EVERY = 120.0
+"""s between two questions for definitions that nobody had: a node may be asked later than its first message comes. As
+long as such an answer counts at most (`rsb_bridge.ros.type_descriptions`)."""
 _TOPICS = 4096  # topics, with each of their types, that are remembered. A round figure
 _ENDS_WITHIN = 10.0  # s that a bridge which ends waits for the disk. A round figure
 _RETRIES_EVERY, _TOLD_EVERY = 10.0, 10.0
@@ -46,6 +50,9 @@ class RingWriter:
 
     Args:
         describe: has `described` called with a topic, soon; called on the thread.
+
+    Attributes:
+        latched: what late joiners get, for the next writer, once this one has ended; or None.
     """
 
     def __init__(
@@ -67,7 +74,10 @@ class RingWriter:
         self._awaited: dict[TopicSpec, float] = {}
         self._failed_at, self._lost_at_failure = float("-inf"), -1
         self._told, self._told_at = 0, float("-inf")
+        self._asked_at = clocks.now()
         self._before: RingWriter | None = None
+        self._has_next = False
+        self.latched: LatchedMessages | None = None
         self._thread = threading.Thread(target=self._run, name="rsb-ring", daemon=True)
 
     # --- from the I/O thread
@@ -102,8 +112,13 @@ class RingWriter:
         self._news.set()
         return answer
 
-    def stop(self) -> None:
-        """Have it end soon, with all that waits."""
+    def stop(self, *, has_next: bool = False) -> None:
+        """Have it end soon, with all that waits.
+
+        Args:
+            has_next: whether another one goes on from here, which misses no message.
+        """
+        self._has_next = has_next
         self._stopping.set()
         self._news.set()
 
@@ -116,6 +131,7 @@ class RingWriter:
     def _run(self) -> None:
         if self._before is not None:
             self._before.join()
+            self.latched = self._before.latched
             self._before = None
         try:
             while not self._stopping.is_set():
@@ -129,6 +145,9 @@ class RingWriter:
         finally:
             if self._files is not None:
                 self._files.close()
+                self.latched, self._files = self._files.latched, None
+            if not self._has_next:
+                self.latched = None
 
     @property
     def lost(self) -> int:
@@ -147,6 +166,7 @@ class RingWriter:
                 self._write_all()
                 assert self._files is not None
                 self._files.look_after(self.lost)
+                self._ask_again()
                 self._tell_lost()
         if self._is_failing:
             self._discard()
@@ -168,7 +188,10 @@ class RingWriter:
 
     def _begin(self) -> None:
         if self._files is None:
-            self._files = RingFiles(self._place, self._limits, self._clocks, self._log, self._described)
+            self._files = RingFiles(
+                self._place, self._limits, self._clocks, self._log, self._described, self.latched or LatchedMessages()
+            )
+            self.latched = None  # they are the files' by now
         self._files.begin()
         if self._is_failing:
             text = RingText.GOES_ON(count=self.lost - self._lost_at_failure)
@@ -226,6 +249,17 @@ class RingWriter:
             self._describe(topic)
         is_awaited = now - self._awaited[topic] < _DEFINED_WITHIN and not self._stopping.is_set()
         return None if is_awaited else undescribed(topic)
+
+    def _ask_again(self) -> None:
+        """Ask anew for definitions that nobody had; those known by now count from the topic's next message on."""
+        now = self._clocks.now()
+        if now - self._asked_at < _ASKED_EVERY:
+            return
+        self._asked_at = now
+        for key, (topic, recorded) in [*self._topics.items()]:
+            if not recorded.description:
+                del self._topics[key]
+                self._describe(topic)
 
     def _keep(self, occasion: Occasion, answer: Future[Path]) -> None:
         is_awaited = answer.set_running_or_notify_cancel()  # from here on, nobody can take the question back

@@ -18,6 +18,7 @@ from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.native.rosidl_descriptions import installed_description
 from rsb_bridge.ros.ros_interface import TopicSpec
 from rsb_bridge.telemetry.event_log import EventLog
+from rsb_extras.disk_ring.latched_messages import LatchedMessages
 from rsb_extras.disk_ring.ring_files import RingClocks, RingFiles, RingPlace
 from rsb_extras.disk_ring.segments import complete
 from rsb_extras.disk_ring.stretches import Occasion
@@ -71,7 +72,8 @@ class RingBed:
         self.events = EventLog(Clock())
         self.described: dict[TopicSpec, RecordedTopic] = {}
         clocks = RingClocks(lambda: self.now, lambda: _WALL + self.now)
-        self.files = RingFiles(RingPlace(state, "robot1", "client"), limits, clocks, self.events, self.described)
+        place = RingPlace(state, "robot1", "client")
+        self.files = RingFiles(place, limits, clocks, self.events, self.described, LatchedMessages())
         self._is_closed = False
         self.files.begin()
 

@@ -14,10 +14,20 @@ from rsb_bridge.model.clock import Clock
 from rsb_bridge.telemetry.event_log import EventLog
 from rsb_extras.disk_ring import ring_writer
 from rsb_extras.disk_ring.ring_codes import RingCode, RingProblem, RingText
-from rsb_extras.disk_ring.ring_files import RingClocks, RingPlace
+from rsb_extras.disk_ring.ring_files import RingClocks, RingPlace, undescribed
 from rsb_extras.disk_ring.ring_writer import RingWriter
 from rsb_extras.disk_ring.stretches import Occasion
-from rsb_extras.disk_ring.tests.ring_bed import CHAT, SMALL, message, metadata, recorded, spec, texts, written_so_far
+from rsb_extras.disk_ring.tests.ring_bed import (
+    CHAT,
+    FRAMES,
+    SMALL,
+    message,
+    metadata,
+    recorded,
+    spec,
+    texts,
+    written_so_far,
+)
 from rsb_extras.recording.message_ring import RingMessage
 from rsb_extras.recording.tests.recordings import read_strictly
 
@@ -125,6 +135,21 @@ def test_late_definition_begins_a_segment(bed: WriterBed, monkeypatch: pytest.Mo
     assert [read_strictly(path)[0][0].data for path in bed.segments] == [b"", b"string data\n"]
 
 
+def test_definition_that_nobody_had_is_asked_for_again(bed: WriterBed, monkeypatch: pytest.MonkeyPatch) -> None:
+    other = spec("/other")
+    bed.writer.described(other, undescribed(other))
+    bed.writer.start()
+    bed.put("first", other)
+    eventually(lambda: bed.segments and b"first" in written_so_far(bed.segments[0]))
+    assert not bed.asked
+    monkeypatch.setattr(ring_writer, "_ASKED_EVERY", 0.0)
+    eventually(lambda: bed.asked)
+    bed.writer.described(other, recorded(other))
+    bed.put("second", other)
+    bed.end()
+    assert [read_strictly(path)[0][0].data for path in bed.segments] == [b"", b"string data\n"]
+
+
 def test_failing_disk_is_tried_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ring_writer, "_RETRIES_EVERY", 0.0)
     (tmp_path / "ring").write_text("in the way")
@@ -167,6 +192,21 @@ def test_question_that_is_taken_back_does_not_stop_the_ring(bed: WriterBed) -> N
     bed.end()
     assert not bed.has(RingCode.STOPPED)
     assert texts(bed.segments[0]) == ["after"]
+
+
+@pytest.mark.parametrize("has_next", [True, False])
+def test_next_writer_knows_what_late_joiners_get(has_next: bool, bed: WriterBed, tmp_path: Path) -> None:
+    """Unless messages passed between both, one of which may stand in its place."""
+    bed.writer.described(FRAMES, recorded(FRAMES))
+    bed.writer.start()
+    bed.put("still", FRAMES)
+    bed.writer.stop(has_next=has_next)
+    after = WriterBed(tmp_path)
+    after.writer.described(CHAT, recorded(CHAT))
+    after.writer.start(bed.writer)
+    after.put("two")
+    after.end()
+    assert texts(after.segments[-1], "/tf_static") == (["still"] if has_next else [])
 
 
 def test_next_writer_waits_for_the_files(bed: WriterBed, tmp_path: Path) -> None:
