@@ -234,8 +234,8 @@ def _beginning(path: str) -> bytes:
 def _cause_and_note(path: Path) -> tuple[str, str]:
     """Return what the metadata of a folder says of why it was kept, or empty texts."""
     try:
-        text = _read(path / _METADATA, _METADATA_LIMIT)
-        data = yaml.load(text, Loader=yaml.CSafeLoader)["rosbag2_bagfile_information"]["custom_data"]
+        content = _read(path / _METADATA, _METADATA_LIMIT)
+        data = yaml.load(content, Loader=yaml.CSafeLoader)["rosbag2_bagfile_information"]["custom_data"]
         cause, note, text = (_text(data.get(name)) for name in ("cause", "note", "text"))
     except Exception:  # noqa: BLE001 -- it is a comfort, and may say anything
         return "", ""
