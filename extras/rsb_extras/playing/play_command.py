@@ -111,7 +111,7 @@ def _play(
             is_interrupted = True
         finally:
             shown.end()
-    code = _result(player, time.monotonic() - began, arguments, say)
+    code = _result(player, time.monotonic() - began, recording.summary.cut, arguments, say)
     return INTERRUPTED if is_interrupted else code
 
 
@@ -158,7 +158,9 @@ class _Shown:
             sys.stdout.flush()
 
 
-def _result(player: Player, seconds: float, arguments: Namespace, say: Callable[[Iterable[str]], None]) -> int:
+def _result(
+    player: Player, seconds: float, cut: str, arguments: Namespace, say: Callable[[Iterable[str]], None]
+) -> int:
     late = sorted(player.late)
     p50, p99 = (late[int(len(late) * part)] * 1000 if late else 0.0 for part in (0.5, 0.99))
     say([PlayText.PLAYED(messages=player.messages, seconds=seconds, p50=p50, p99=p99)])
@@ -169,5 +171,5 @@ def _result(player: Player, seconds: float, arguments: Namespace, say: Callable[
     is_whole = not player.error and not player.failed
     if arguments.json:
         figures = {"messages": player.messages, "seconds": seconds, "late_ms_p50": p50, "late_ms_p99": p99}
-        print_line(json_line({"ok": is_whole, **figures, "error": player.error}))
+        print_line(json_line({"ok": is_whole, **figures, "error": player.error, "cut": cut}))
     return OK if is_whole else FAILURE

@@ -115,6 +115,7 @@ class Player:
         self._ahead = ReadAhead(iter(()))
         self._at, self._since = span.begin, 0.0  # the place in the recording, and when it was there (monotonic, s)
         self._clock_at = 0.0
+        self._taken = 0  # messages of the recording, played or not
 
     def play(self, keys: PlayKeys, tell: Callable[[PlayState], None]) -> None:
         """Play, until the end or a key.
@@ -125,6 +126,7 @@ class Player:
         try:
             self._go_to(self._span.begin)
             looked = told = 0.0
+            before: int | None = None  # messages that were taken before the present round
             while True:
                 now = time.monotonic()
                 if now - told >= _TOLD_EVERY:
@@ -132,8 +134,10 @@ class Player:
                     tell(self._state(now))
                 wait = self._do_due(now)
                 if wait is None:
-                    if not self._span.loop or self._span.begin == self._span.end:
+                    # A round without messages would take no time, and the keys none of it.
+                    if not self._span.loop or self._span.begin == self._span.end or self._taken == before:
                         return
+                    before = self._taken
                     self._go_to(self._span.begin)
                 elif wait > 0 or now - looked >= _LOOK_EVERY:
                     looked = now
@@ -166,9 +170,13 @@ class Player:
         due = self._since + (message.time - self._at) / SECOND / self._span.rate
         if due > (now := time.monotonic()):
             return min(due, self._clock_at) - now if self._clock is not None else due - now
-        self._publish(self._ahead.take())
+        self._publish(self._take())
         self.late.append(time.monotonic() - due)
         return 0.0
+
+    def _take(self) -> StoredMessage:
+        self._taken += 1
+        return self._ahead.take()
 
     def _publish(self, message: StoredMessage) -> None:
         played = self._publishers.of(message.channel)
@@ -188,7 +196,7 @@ class Player:
         elif key == "step":
             if self._is_paused and (message := self._ahead.peek(1.0)) is not None:
                 self._at = message.time
-                self._publish(self._ahead.take())
+                self._publish(self._take())
                 self._tell_clock(message.time)
         else:
             to = self._position(now) + int(key) * SECOND
@@ -207,19 +215,19 @@ class Player:
 
     def _latched_before(self, at: int) -> list[StoredMessage]:
         """Return the messages that late joiners would get at a time, in their order."""
-        kept: dict[int, tuple[int, deque[StoredMessage]]] = {}
+        kept: dict[int, deque[StoredMessage]] = {}
         if not self._publishers.latched:
             return []
         with suppress(RecordingError):  # the damage is met again, and told, where it is played
             for message in self._recording.messages(topics=self._publishers.latched, end=at):
-                if (played := self._publishers.of(message.channel)) is None:
+                if (played := self._publishers.of(message.channel)) is None or not played.kept:
                     continue
-                _, messages = kept.setdefault(id(played), (0, deque(maxlen=played.kept or 1)))
+                messages = kept.setdefault(id(played), deque(maxlen=played.kept))
                 # A view would hold the whole chunk.
                 messages.append(message._replace(content=memoryview(bytes(message.content))))
                 while len(messages) > 1 and sum(len(each.content) for each in messages) > _LATCHED_BYTES:
                     messages.popleft()
-        return sorted((each for _, messages in kept.values() for each in messages), key=lambda each: each.time)
+        return sorted((each for messages in kept.values() for each in messages), key=lambda each: each.time)
 
     def _position(self, now: float) -> int:
         passed = 0.0 if self._is_paused else (now - self._since) * self._span.rate

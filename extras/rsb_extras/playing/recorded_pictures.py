@@ -90,7 +90,7 @@ class RecordedPictures:
         if not goes_on:
             self._renderer.forget(self._view)
             self._view = self._renderer.next_view()
-            self._seen, self._newest = 0, None
+            self._seen, self._newest, self._until = 0, None, None  # if the recording cannot be read, nothing goes on
         frames = self._frames(topic, wish)
         begin = self._until if goes_on else None
         samples, asked = await asyncio.to_thread(partial(self._samples, topic, frames, begin, time, wish))

@@ -47,9 +47,10 @@ class Recorded:
         definition: str = "string data",
         profiles: str = RELIABLE,
         encoding: str = "cdr",
+        publisher: str = "",
     ) -> str:
         schema = self._writer.register_schema(type_name, "ros2msg", definition.encode())
-        metadata = {"offered_qos_profiles": profiles}
+        metadata = {"offered_qos_profiles": profiles, "publisher": publisher}
         self._channels[name] = self._writer.register_channel(name, encoding, schema, metadata)
         self.sent[name] = []
         return name

@@ -203,6 +203,28 @@ def test_topics_of_bridges_are_never_played(recorded: Recorded, hearing: Hearing
     assert json.loads(ran(*words(recorded, hearing, "--json")).out)["messages"] == 1
 
 
+def test_loop_without_messages_ends(recorded: Recorded, hearing: Hearing, ran: Any) -> None:
+    recorded.topic("/text")
+    recorded.topic("/rare")
+    recorded.add("/rare", 0.0, string("x"))
+    for number in range(5):
+        recorded.add("/text", number * 1.0, string("x"))
+    recorded.done()
+    options = ("--loop", "--topics", "/rare", "--from", "1", "--to", "3", "--json")
+    assert json.loads(ran(*words(recorded, hearing, *options)).out)["messages"] == 0
+
+
+def test_late_joiners_get_nothing_of_volatile_publishers(recorded: Recorded, hearing: Hearing, ran: Any) -> None:
+    """Also on a topic of which another publisher is latched."""
+    recorded.topic("/text", profiles=LATCHED, publisher="first")
+    recorded.add("/text", 0.0, string("latched"))
+    recorded.topic("/text", publisher="second")
+    recorded.add("/text", 0.1, string("volatile"))
+    recorded.add("/text", 1.0, string("x"))
+    recorded.done()
+    assert json.loads(ran(*words(recorded, hearing, "--from", "0.5", "--json")).out)["messages"] == 2
+
+
 # --- what cannot be played
 
 
