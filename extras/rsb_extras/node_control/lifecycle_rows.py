@@ -48,6 +48,7 @@ class LifecycleRow(NamedTuple):
         container: the one in which a component is, or that it is itself, or empty.
         of_container: what is possible there.
         may_load: whether the container may be changed.
+        is_managed: whether it has states; a container or a component may have none.
     """
 
     link: str
@@ -60,6 +61,7 @@ class LifecycleRow(NamedTuple):
     container: str = ""
     of_container: tuple[ComponentAction, ...] = ()
     may_load: bool = False
+    is_managed: bool = True
 
     @property
     def key(self) -> str:
@@ -114,12 +116,14 @@ def with_components(role: str, sides: Sequence[ManagedSide]) -> Iterator[Lifecyc
         under_way, name = _under_way(side), side_of(role, side.link)
         for each in side.managed.containers:
             count = _components(len(each.nodes)) if each.answers else LifecycleText.NO_ANSWER()
-            row = LifecycleRow(side.link, name, each.name, under_way.get(each.name, count), each.allowed, ())
+            state = under_way.get(each.name, count)
+            row = LifecycleRow(side.link, name, each.name, state, each.allowed, (), is_managed=False)
             is_free = each.answers and each.name not in under_way
             yield row._replace(container=each.name, of_container=("load",) if is_free else (), may_load=each.allowed)
             for node in each.nodes:
                 if (side.link, node) not in seen:
-                    row = LifecycleRow(side.link, name, node, LifecycleText.COMPONENT(), each.allowed, ())
+                    state = LifecycleText.COMPONENT()
+                    row = LifecycleRow(side.link, name, node, state, each.allowed, (), is_managed=False)
                     yield row._replace(container=each.name, of_container=("unload",), may_load=each.allowed)
 
 

@@ -138,7 +138,7 @@ class LifecycleScreen(SidesScreen["ManagedSide"]):
             return
         if problem := self._why_not(row, row.name, allowed=row.allowed):
             self.warn(problem)
-        elif not row.nodes and action not in ("up", "down", *row.actions):
+        elif not row.is_managed or (not row.nodes and action not in ("up", "down", *row.actions)):
             offers = ", ".join(row.actions) or "nothing"
             self.warn(LifecycleScreenText.NOT_OFFERED(name=row.name, state=row.state, offers=offers))
         else:

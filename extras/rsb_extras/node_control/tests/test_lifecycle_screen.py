@@ -18,7 +18,7 @@ from rsb_extras.node_control.change_records import (
 )
 from rsb_extras.node_control.change_requests import ChangeNodes, ListManaged, ManagedSide
 from rsb_extras.node_control.lifecycle_rows import LifecycleText
-from rsb_extras.node_control.lifecycle_screen import LifecycleScreen, LifecycleScreenText
+from rsb_extras.node_control.lifecycle_screen import LifecycleScreen, LifecycleScreenText, LifecycleTable
 from rsb_extras.node_control.tests.scripted_answers import DONE, SIDES
 from rsb_extras.nodes.nodes_screen import NodesScreen
 
@@ -79,6 +79,15 @@ async def test_what_a_node_does_not_offer_is_named(app: ConsoleApp, pilot: Pilot
     offers = {"name": "/camera", "state": "active", "offers": "deactivate, shutdown"}
     await notified(pilot, LifecycleScreenText.NOT_OFFERED, **offers)
     assert told(app) == []
+
+
+@on_main(NARROW)
+async def test_container_without_states_is_not_brought_up(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await opened(pilot)
+    table = app.screen.query_one(LifecycleTable)
+    table.move_to(table.keys.index("robot1 /nav2_container"))
+    await pilot.press("u")
+    await notified(pilot, LifecycleScreenText.NOT_OFFERED, name="/nav2_container", offers="nothing")
 
 
 @on_main(NARROW)
