@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from rsb_bridge.config.files import remove_file
 from rsb_bridge.feature_api import Level, make_folder, why_not_written
 from rsb_extras.disk_ring.ring_codes import RingCode, RingText
+from rsb_extras.disk_ring.ring_rules import LONGEST_STRETCH
 from rsb_extras.disk_ring.segments import SUFFIX, OpenSegment, Segment, complete, is_whole
 from rsb_extras.disk_ring.stretches import FullError, StretchFolder
 from rsb_extras.history.bridge_files import Claim
@@ -44,8 +45,6 @@ _UNSYNCED = 32 << 20
 """Bytes that the disk need not have yet. A round figure."""
 _UNCOMPRESSED_FROM = 20e6
 """Bytes a second of messages, from which segments are not compressed. At that rate, zstd takes a tenth of a core."""
-_LONGEST_STRETCH = 600.0
-"""s of a stretch after its first occasion. A round figure: a fault may come and go for ever."""
 
 
 class RingPlace(NamedTuple):
@@ -266,7 +265,7 @@ class RingFiles:
         except (OSError, FullError) as error:
             return self._not_kept(occasion, error)
         assert self._stretch is not None
-        until = self._stretch.occasions[0].at + _LONGEST_STRETCH
+        until = self._stretch.occasions[0].at + LONGEST_STRETCH
         self._until = max(self._until, min(until, occasion.at + self._limits.after))
         return self._stretch.path
 

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from rsb_bridge.feature_api import Session
 
 # Round figures.
+LONGEST_STRETCH = 600.0
+"""s of a stretch after its first occasion: a fault may come and go for ever."""
 DISK = Range(0.01, 100_000)
 """GB: a hundredth is a minute of a robot without cameras."""
 RANGES = {
@@ -22,7 +24,7 @@ RANGES = {
     "disk_seconds": Range(10, 31_536_000),
     "free": Range(0, 100_000),
     "before": Range(0, 86_400),
-    "after": Range(0, 3_600),
+    "after": Range(0, LONGEST_STRETCH),
     "kept": DISK,
 }
 _OFF_AT_ZERO = ("disk", "disk_seconds")

@@ -138,18 +138,19 @@ def complete(path: Path) -> Completed:
         McapError: MCAP's library is not installed.
         OSError: it cannot be written. The file is as it was.
     """
-    size, target = path.stat().st_size, path.with_suffix(".whole")
+    status, target = path.stat(), path.with_suffix(".whole")
     remove_file(target)
     remove_file(target.with_name(f".{target.name}.part"))
     with path.open("rb") as file, whole_file(target) as copy:
         messages, end = _copy(file, copy)
     if messages:
+        os.utime(target, ns=(status.st_atime_ns, status.st_mtime_ns))  # by which its messages get too old
         target.replace(path)
     else:
         remove_file(target)
         remove_file(path)
     sync_folder(path.parent)
-    return Completed(messages, max(0, size - end))
+    return Completed(messages, max(0, status.st_size - end))
 
 
 def _copy(file: IO[bytes], copy: IO[bytes]) -> tuple[int, int]:

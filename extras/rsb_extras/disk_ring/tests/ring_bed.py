@@ -71,11 +71,15 @@ class RingBed:
         self.state = state
         self.events = EventLog(Clock())
         self.described: dict[TopicSpec, RecordedTopic] = {}
-        clocks = RingClocks(lambda: self.now, lambda: _WALL + self.now)
+        clocks = RingClocks(lambda: self.now, lambda: self.wall)
         place = RingPlace(state, "robot1", "client")
         self.files = RingFiles(place, limits, clocks, self.events, self.described, LatchedMessages())
         self._is_closed = False
         self.files.begin()
+
+    @property
+    def wall(self) -> float:
+        return _WALL + self.now
 
     @property
     def segments(self) -> list[Path]:
@@ -102,7 +106,7 @@ class RingBed:
             self.files.look_after(0)
 
     def keep(self, reason: Reason = "fault", note: str = "") -> Path | str:
-        return self.files.keep(Occasion(self.now, _WALL + self.now, reason, note, "/chat"), 0)
+        return self.files.keep(Occasion(self.now, self.wall, reason, note, "/chat"), 0)
 
     def end(self) -> None:
         """End as a bridge that stops does."""

@@ -100,7 +100,7 @@ async def test_key_may_be_taken_back(app: ConsoleApp, pilot: Pilot[None], asked:
         (RecordLimits(disk=-1.0), "record.disk", RecordText.OUT_OF_RANGE),
         (RecordLimits(disk=2.0, disk_seconds=1.0), "record.disk_seconds", RecordText.OUT_OF_RANGE),
         (RecordLimits(disk=2.0, free=float("nan")), "record.free", RecordText.OUT_OF_RANGE),
-        (RecordLimits(disk=2.0, after=1e6), "record.after", RecordText.OUT_OF_RANGE),
+        (RecordLimits(disk=2.0, after=601.0), "record.after", RecordText.OUT_OF_RANGE),
         (RecordLimits(disk=2.0, kept=0.0), "record.kept", RecordText.OUT_OF_RANGE),
         (RecordLimits(before=10.0), "record.before", RingRuleText.NEEDS_DISK),
         (RecordLimits(also=("/chat",)), "record.also", RingRuleText.NEEDS_DISK),

@@ -13,6 +13,7 @@ from rosbags.highlevel import AnyReader
 from rsb_extras.disk_ring.ring_codes import RingCode
 from rsb_extras.disk_ring.tests.power_cut_cost import RANDOM_TAILS, cut, written
 from rsb_extras.disk_ring.tests.ring_bed import RingBed, texts
+from rsb_extras.recording import RecordLimits
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -44,6 +45,19 @@ def test_file_without_a_chunk_goes(size: int, tmp_path: Path) -> None:
     after = RingBed(tmp_path, now=1100.0)
     assert len(after.segments) == 1
     assert RingCode.RECOVERED in after.codes()
+    after.end()
+
+
+def test_cut_file_is_as_old_as_it_was(tmp_path: Path) -> None:
+    bed = RingBed(tmp_path)
+    bed.pass_time(5)
+    bed.close()
+    wall = bed.wall - 1000.0
+    os.utime(bed.segments[0], (wall, wall))
+    after = RingBed(tmp_path, RecordLimits(disk=1.0, disk_seconds=100.0, free=0.0), now=bed.now)
+    assert RingCode.RECOVERED in after.codes()
+    after.files.look_after(0)
+    assert not after.segments
     after.end()
 
 
