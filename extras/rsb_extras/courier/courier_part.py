@@ -41,7 +41,7 @@ from rsb_extras.courier.pieces import PieceError
 from rsb_extras.recording.mcap_file import McapError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable
     from pathlib import Path
 
     from rsb_bridge.feature_api import Bridge, Link, Snapshot
@@ -165,7 +165,7 @@ class CourierPart(EnginePart):
 
     async def _load(self) -> None:
         """Take up the fetches of this session that a bridge before has left."""
-        for spool in await asyncio.to_thread(_spools, self._kept.fetched, self._owner):
+        for spool in await asyncio.to_thread(_spools, self._kept.fetched, self._owner, lambda: self._stopping):
             self._fetches.setdefault(spool.asked.name, Fetch(spool, self._context.now()))
 
     # --- lists
@@ -352,6 +352,6 @@ def _new_spool(folder: Path, stem: str, asked: partial[AskedFetch]) -> FetchSpoo
     raise FileExistsError(errno.EEXIST, "has too many files of this name: move or remove some", str(folder / stem))
 
 
-def _spools(folder: Path, owner: str) -> list[FetchSpool]:
-    found: Iterator[FetchSpool | None] = map(FetchSpool.load, sorted(folder.glob(f".*{SPOOL}")))
+def _spools(folder: Path, owner: str, stop: Callable[[], bool]) -> list[FetchSpool]:
+    found = (FetchSpool.load(each, stop) for each in sorted(folder.glob(f".*{SPOOL}")))
     return [each for each in found if each is not None and each.asked.owner == owner]

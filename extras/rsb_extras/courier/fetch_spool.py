@@ -95,8 +95,8 @@ class FetchSpool:
         return cls(folder, asked)
 
     @classmethod
-    def load(cls, folder: Path) -> FetchSpool | None:
-        """Return the fetch of a folder with the pieces that are whole, or None if it is none."""
+    def load(cls, folder: Path, stop: Callable[[], bool]) -> FetchSpool | None:
+        """Return the fetch of a folder with the pieces that are whole, or None if it is none, or told to stop."""
         try:
             asked = msgspec.json.decode((folder / _ASKED).read_bytes(), type=AskedFetch)
         except (OSError, msgspec.DecodeError, UnicodeDecodeError):
@@ -104,6 +104,8 @@ class FetchSpool:
         spool = cls(folder, asked)
         try:
             for data in spool._read():
+                if stop():
+                    return None
                 spool._count(decode_piece(data), len(data))
         except (PieceError, OSError):  # the disk has lost a part of it: it is got again
             pass

@@ -86,6 +86,20 @@ def test_a_bridge_killed_behind_the_file_is_done(tmp_path: Path) -> None:
     assert other.folder.exists(), "the file of that name is another one"
 
 
+def test_a_fetch_is_loaded_up_to_what_is_missing(tmp_path: Path) -> None:
+    folder = spooled(tmp_path, [*messages(3)]).folder
+    whole = FetchSpool.load(folder, lambda: False)
+    assert whole is not None
+    assert whole.is_whole
+    assert FetchSpool.load(folder, lambda: True) is None
+    second = sorted(folder.glob("*.piece"))[1]
+    second.unlink()
+    second.mkdir()  # cannot be read
+    part = FetchSpool.load(folder, lambda: False)
+    assert part is not None
+    assert (part.is_whole, part.at > Cursor()) == (False, True)
+
+
 def test_the_file_leaves_room_on_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     spool = spooled(tmp_path, [*messages(1)])
     free = os.statvfs(tmp_path)
