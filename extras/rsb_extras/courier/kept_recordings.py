@@ -42,6 +42,9 @@ _HEAD = 4096  # bytes of a file that its stamp is made of, beside size and time
 _METADATA, _METADATA_LIMIT = "metadata.yaml", 1 << 20
 _READ_FOR = 5.0
 """s for which a list reads recordings that it does not know yet. A round figure."""
+_QUICK, _QUIET_FOR = 1.0, 60.0
+"""s that reading one may take each time it has changed; s without a change after which one that takes longer is read
+again: a file that is being written has no index, and a peer may ask each second. Round figures."""
 _REMEMBERED = 2 * MOST_RECORDINGS
 _SUFFIXES = (".mcap", ".db3")
 
@@ -51,6 +54,7 @@ class KeptProblem(Wording):
 
     GONE = "the recording is not there any more: list the recordings again"
     CHANGED = "the recording has changed since it was listed: get it again once nothing writes to it"
+    WRITTEN = "something writes to it: list the recordings again once nothing does"
     READING = "it is being read for the first time: list the recordings again"
 
 
@@ -99,6 +103,21 @@ class Kept(NamedTuple):
             return True
 
 
+class _Known(NamedTuple):
+    """What was read of a recording.
+
+    Attributes:
+        summary: or the reason why there is none.
+        about: cause and note.
+        seconds: that it took.
+    """
+
+    stamp: str
+    summary: RecordingSummary | str
+    about: tuple[str, str]
+    seconds: float
+
+
 class KeptRecordings:
     """Finds the recordings of this side, and what is in them.
 
@@ -111,8 +130,8 @@ class KeptRecordings:
         self._context = context
         self.recorded = state_folder(os.environ) / RECORDINGS
         self.fetched = self.recorded / FETCHED
-        self._known: dict[str, tuple[str, RecordingSummary | str, tuple[str, str]]] = {}
-        """By ids: stamp; summary, or why there is none; cause and note. The one that was asked for last is last."""
+        self._known: dict[str, _Known] = {}
+        """By ids. The one that was asked for last is last."""
         self._listing = asyncio.Lock()
 
     async def all(self, rights: Rights | None) -> list[ListedRecording]:
@@ -176,19 +195,23 @@ class KeptRecordings:
         )  # fmt: skip
 
     def _summary(self, kept: Kept, stop: Callable[[], bool]) -> tuple[RecordingSummary | str, tuple[str, str]]:
-        stamp, known, about = self._known.pop(kept.id, ("", "", ("", "")))
-        if stamp == kept.stamp:
-            self._known[kept.id] = stamp, known, about
-            return known, about
+        if (known := self._known.pop(kept.id, None)) is not None:
+            if known.stamp == kept.stamp:
+                self._known[kept.id] = known
+                return known.summary, known.about
+            if known.seconds > _QUICK and self._context.wall() - kept.changed_at / 1e9 < _QUIET_FOR:
+                self._known[kept.id] = known
+                return KeptProblem.WRITTEN(), known.about
         if stop():
             return KeptProblem.READING(), ("", "")
         summary: RecordingSummary | str
+        began = self._context.now()
         try:
             summary = OpenRecording(kept.path).summary
         except (RecordingError, OSError) as error:
             summary = kept.without_folder(str(error))
         about = _cause_and_note(kept.path)
-        self._known[kept.id] = kept.stamp, summary, about
+        self._known[kept.id] = _Known(kept.stamp, summary, about, self._context.now() - began)
         while len(self._known) > _REMEMBERED:
             del self._known[next(iter(self._known))]
         return summary, about

@@ -10,6 +10,7 @@ import pytest
 from tests.support.bridge import happened
 from tests.support.relay import Relay
 from tests.support.waiting import eventually
+from tests.support.wording import says
 
 from rsb_bridge.api import EngineError
 from rsb_extras.courier.courier_requests import (
@@ -17,9 +18,11 @@ from rsb_extras.courier.courier_requests import (
     FetchState,
     ListRecordings,
 )
+from rsb_extras.courier.kept_recordings import KeptProblem
 from rsb_extras.courier.link_courier import CourierCode
 from rsb_extras.courier.tests.bags import BEGAN, SECOND, in_bag, messages, write_bag
 from rsb_extras.courier.tests.courier_bed import done, fetch, fetches, listed, report, robot_features, two_sides
+from rsb_extras.courier.tests.courier_places import QUICK
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -62,6 +65,24 @@ def test_why_a_recording_was_kept_is_listed(bridge: Bridge, bags: Path) -> None:
         "note": ("note", "it fell; it fell again"),
         "odd": ("", ""),
     }
+
+
+def test_a_file_that_takes_long_is_not_read_while_it_grows(
+    bridge: Bridge, bags: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    QUICK.set(monkeypatch, -1.0)
+    path = bags / "drive.mcap"
+    whole = write_bag(path, messages(2))
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) // 2])
+    pc, _ = two_sides(bridge, bags)
+    first = listed(pc)["drive.mcap"]
+    assert 0 < first.messages < len(whole)
+    path.write_bytes(data[: len(data) * 3 // 4])
+    second = listed(pc)["drive.mcap"]
+    assert (says(second.problem, KeptProblem.WRITTEN), second.messages) == (True, 0)
+    os.utime(path, (1e9, 1e9))
+    assert first.messages < listed(pc)["drive.mcap"].messages < len(whole)
 
 
 def test_a_recording_comes_message_for_message(bridge: Bridge, bags: Path, fetched: Path) -> None:
