@@ -194,6 +194,19 @@ def test_reported_delay_is_of_last_second(loop: VirtualLoop, make_context: Calla
     assert flowing.half.flow.latency.recent == flowing.delay
 
 
+def test_figures_are_of_present_when_they_are_shown(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
+    """Somebody who looks once, as a command does, gets no rate of some seconds before."""
+    flowing = Flowing(Sender, loop, make_context())
+    while flowing.ticks != [loop.time()]:
+        flowing.ticks.clear()
+        flowing.seconds(1)
+    flowing.ticks.clear()
+    flowing.rate = _RATE - 1
+    flowing.seconds(3)
+    assert not flowing.ticks
+    assert flowing.route.snapshot().rate == pytest.approx(_RATE - 1)
+
+
 def test_percentiles_are_reported_while_somebody_looks(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
     flowing = Flowing(Receiver, loop, make_context())
 

@@ -570,6 +570,8 @@ class Route:
         """Return the route as it is now."""
         now, wall = self.context.now(), self.context.wall()
         facts, carried = self.half.facts, self.half.carried
+        if self.idling.goes_on_now:  # else its figures are those of this second
+            self.meter.tick(now, learns=facts.learns)
         self._shown_of_features, self._shown_signs = self.peer.route_fields(self), self.idling.signs
         verdict, from_peer = self.judged.shown(self.verdict())
         self.only_counts = verdict.state in _LASTS and not (verdict.lasting or self.arming.required)

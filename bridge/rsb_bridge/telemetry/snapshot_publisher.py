@@ -34,7 +34,7 @@ _EVERY, _EVERY_LOOKED_AT = 1.0, 0.25  # s from one renewal to the next
 _CLOCK_SET = 0.1  # s by which the shown times of routes to which nothing happens may be wrong
 _CAUGHT_UP_WITHIN = 0.5  # s that the first look after a while waits; 1,000 routes take 0.05 s. A round figure
 # Renewals while nobody looks until each route's figures had their turn. The history adds them up by the minute: what
-# falls into the next one is a twelfth at most.
+# falls into the next one is a twelfth at most, or a sixth where the other side's counts are as old (`idling`).
 _FIGURES_EVERY = 5
 _HANGS_AFTER = 10.0  # s without a renewal. A round figure: on a busy machine, threads were seen to stand still for 3 s
 # s that a timer may come early. Without it, such a turn would be counted as the one before, and done twice.
