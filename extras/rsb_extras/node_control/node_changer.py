@@ -166,7 +166,7 @@ class NodeChanger:
             tuple(
                 change
                 for of_change, change in (*self._ended, *running)
-                if shows or all(self._may(asker, each) for each in of_change)
+                if shows or all(self._may(asker, each) for each in _named(change.action, of_change))
             ),
             tuple(each for each in containers if shows or each.allowed),
         )
@@ -254,9 +254,7 @@ class NodeChanger:
     def _refusal(self, target: str, nodes: Sequence[str], action: ChangeAction, asker: ChangeAsker) -> str:
         now, is_own = self._context.now(), asker.link is None
         is_bridged = action == "set" and _is_bridged(asker, target)
-        # The right to a container is that to its components, as they share a process.
-        named = nodes[:1] if action in COMPONENT_ACTIONS else nodes
-        if not is_bridged and (refusal := self._lacks_right(target, named, asker)):
+        if not is_bridged and (refusal := self._lacks_right(target, _named(action, nodes), asker)):
             return refusal
         if not nodes:
             return ChangeProblem.NO_GROUP(owner=self._context.session.name, name=target)
@@ -355,6 +353,11 @@ class NodeChanger:
         if ending := [each.outcome for each in self._doing if each.outcome is not None]:
             await asyncio.wait(ending)
         self.services.close()
+
+
+def _named(action: ChangeAction, nodes: Sequence[str]) -> Sequence[str]:
+    """Return the nodes of a change to which one needs the right: that to a container is that to its components."""
+    return nodes[:1] if action in COMPONENT_ACTIONS else nodes  # they share a process
 
 
 def _is_bridged(asker: ChangeAsker, node: str) -> bool:

@@ -92,6 +92,14 @@ def test_components_are_listed_loaded_and_unloaded(bridge: Bridge, container: St
     assert gone.reason == f"{NAME} has no component /planner_server: it has /nav/smoother"
 
 
+def test_change_of_container_is_shown_to_whom_it_was_allowed(bridge: Bridge, container: StandInContainer) -> None:
+    """Also where nodes are not shown: it has those of its components."""
+    pc, _ = two_sides(bridge, NAME, features={"show_nodes": False})
+    assert change(pc, "load", SMOOTHER).done
+    (side,) = pc.do(ListManaged("robot1")).result(60)
+    assert [(each.target, each.action) for each in side.managed.changes] == [(NAME, "load")]
+
+
 def test_a_containers_reason_is_shown(bridge: Bridge, container: StandInContainer) -> None:
     pc, robot = two_sides(bridge, NAME)
     container.refused = "no such plugin"
