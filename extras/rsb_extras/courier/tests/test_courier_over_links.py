@@ -72,7 +72,7 @@ def test_a_file_that_takes_long_is_not_read_while_it_grows(
 ) -> None:
     QUICK.set(monkeypatch, -1.0)
     path = bags / "drive.mcap"
-    whole = write_bag(path, messages(2))
+    whole = write_bag(path, messages(10, 10_000))
     data = path.read_bytes()
     path.write_bytes(data[: len(data) // 2])
     pc, _ = two_sides(bridge, bags)
