@@ -46,6 +46,9 @@ _UNSYNCED = 32 << 20
 _UNCOMPRESSED_FROM = 20e6
 """Bytes a second of messages, from which segments are not compressed. At that rate, zstd takes a tenth of a core."""
 
+_AT_ONCE = float("-inf")
+"""In place of the time at which a stretch ends: it takes no more."""
+
 
 class RingPlace(NamedTuple):
     """Where a bridge has its ring.
@@ -258,6 +261,8 @@ class RingFiles:
             Where it will be, or the reason why it is not kept.
         """
         try:
+            if self._stretch is not None and self._until == _AT_ONCE:
+                self._end_stretch(lost)
             if self._stretch is None:
                 self._begin_stretch(occasion, lost)
             else:
@@ -273,19 +278,25 @@ class RingFiles:
         before = [each for each in self._segments if each.ended >= occasion.at - self._limits.before]
         self._make_room(occasion, sum(each.size for each in before))
         stretch = self._stretches.begin(occasion, self._last - (self._open is not None))
-        for each in before:
-            stretch.add(each)
+        try:
+            for each in before:
+                stretch.add(each)
+        except OSError:
+            stretch.discard()  # it would hold its files, and be finished by the next process
+            raise
         self._stretch, self._until, self._lost_before = stretch, 0.0, lost
 
     def _add_to_stretch(self, segments: list[Segment]) -> None:
         assert self._stretch is not None
+        if self._until == _AT_ONCE:  # one behind what had no room would leave a gap
+            return
         try:
             for each in segments:
                 self._make_room(self._stretch.occasions[0], self._stretch.size + each.size)
                 self._stretch.add(each)
         except (OSError, FullError) as error:
             self._not_kept(self._stretch.occasions[0], error)
-            self._until = float("-inf")  # with what it has
+            self._until = _AT_ONCE  # with what it has
 
     def _make_room(self, occasion: Occasion, wanted: int) -> None:
         for path in self._stretches.make_room(wanted):

@@ -266,7 +266,12 @@ class RingWriter:
         if self._files is None or self._is_failing:
             found: Path | str = RingProblem.NOT_WRITTEN()
         else:
-            found = self._files.keep(occasion, self.lost)
+            try:
+                found = self._files.keep(occasion, self.lost)
+            except Exception:
+                if is_awaited:
+                    answer.set_exception(LinkError(RingProblem.NOT_WRITTEN()))
+                raise
         if not is_awaited:
             return
         if isinstance(found, str):

@@ -138,6 +138,10 @@ class Stretch:
         self.size += segment.size
         self._save()
 
+    def discard(self) -> None:
+        """Remove it: not all could be kept."""
+        shutil.rmtree(self._part, ignore_errors=True)
+
     def finish(self, lost: int, *, is_cut: bool = False) -> KeptStretchFolder | None:
         """Give it its name, or remove it if nothing is in it.
 

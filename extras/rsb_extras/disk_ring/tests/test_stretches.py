@@ -212,6 +212,31 @@ def test_failure_within_a_stretch_leaves_no_gap(bed: RingBed) -> None:
     assert texts(stretch) == at(1001, 1040)
 
 
+def test_stretch_that_got_full_has_no_gap(tmp_path: Path) -> None:
+    bed = RingBed(tmp_path, RecordLimits(disk=0.1, free=0.0, before=0.0, after=30.0, kept=0.01))
+    bed.keep()
+    for number in range(300):
+        bed.write(f"{number} {os.urandom(45_000).hex()}")
+        if RingCode.NOT_KEPT in bed.codes():
+            break
+    bed.write("small, so that it has room")
+    assert isinstance(bed.keep("note"), str), "and a later cause does not go on with it"
+    bed.pass_time(2)
+    kept = [each.partition(" ")[0] for each in texts(bed.stretches[0])]
+    assert kept == [f"{number}" for number in range(len(kept))]
+    bed.end()
+
+
+def test_stretch_that_cannot_begin_leaves_nothing(bed: RingBed, monkeypatch: pytest.MonkeyPatch) -> None:
+    bed.pass_time(70)
+    with monkeypatch.context() as patch:
+        patch.setattr("rsb_extras.disk_ring.stretches.os.link", _fail)
+        patch.setattr("rsb_extras.disk_ring.stretches.shutil.copyfile", _fail)
+        bed.keep()
+    assert RingCode.NOT_KEPT in bed.codes()
+    assert not [*(bed.state / "recordings").iterdir()]
+
+
 def test_stretch_without_room_removes_none(tmp_path: Path) -> None:
     bed = RingBed(tmp_path, RecordLimits(disk=0.1, free=0.0, before=100.0, after=1.0, kept=0.01))
     bed.pass_time(5)
