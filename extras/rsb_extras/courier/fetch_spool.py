@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import shutil
+import threading
 from itertools import count, islice
 from typing import TYPE_CHECKING
 
@@ -66,7 +67,7 @@ class AskedFetch(msgspec.Struct, frozen=True):
 
 
 class FetchSpool:
-    """The folder of a fetch. Its methods are for any thread, one at a time.
+    """The folder of a fetch. Its methods are for any thread: one that was given up may still be at work.
 
     Attributes:
         at: where the next piece begins.
@@ -84,6 +85,7 @@ class FetchSpool:
         self.is_whole = False
         self.damage = ""
         self._pieces = 0
+        self._working = threading.RLock()
 
     @classmethod
     def new(cls, parent: Path, asked: AskedFetch) -> FetchSpool:
@@ -138,10 +140,11 @@ class FetchSpool:
         """
         if self.taken > _TIMES_LARGER * self.asked.listed.size + _MORE:
             raise PieceError(SpoolProblem.TOO_MUCH())
-        self._check_room()
-        check_follows(piece, self.at)
-        self._path(self._pieces + 1).write_bytes(data)
-        self._count(piece, len(data))
+        with self._working:
+            self._check_room()
+            check_follows(piece, self.at)
+            self._path(self._pieces + 1).write_bytes(data)
+            self._count(piece, len(data))
 
     def _check_room(self, wanted: int = 0) -> None:
         """Raise OSError if so many bytes leave less than has to stay free."""
@@ -168,6 +171,12 @@ class FetchSpool:
             OSError: it cannot be written.
             InterruptedError: it was told to stop.
         """
+        with self._working:
+            if stop():  # before it began
+                raise InterruptedError
+            return self._write(stop)
+
+    def _write(self, stop: Callable[[], bool]) -> int:
         path = self.path
         path.with_name(f".{path.name}{UNFINISHED}").unlink(missing_ok=True)  # of a bridge that was killed
         if is_there(path) and (count := self._written()):
@@ -195,4 +204,5 @@ class FetchSpool:
         return self.folder.parent / f"{self.asked.name}.mcap"
 
     def remove(self) -> None:
-        shutil.rmtree(self.folder, ignore_errors=True)
+        with self._working:
+            shutil.rmtree(self.folder, ignore_errors=True)

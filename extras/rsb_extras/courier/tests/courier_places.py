@@ -7,4 +7,5 @@ from tests.support.places import Place
 ENCODED_PIECE = Place("rsb_extras.courier.link_courier", "encode_piece")
 LIST_PAGE = Place("rsb_extras.courier.link_courier", "LinkCourier._page")
 QUICK = Place("rsb_extras.courier.kept_recordings", "_QUICK")
+FOLLOWS = Place("rsb_extras.courier.fetch_spool", "check_follows")
 LEFT_FREE = Place("rsb_extras.courier.fetch_spool", "_LEFT_FREE")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections import deque
 from typing import TYPE_CHECKING
 
@@ -26,7 +27,7 @@ from rsb_extras.courier.pieces import (
     encode_piece,
 )
 from rsb_extras.courier.tests.bags import BEGAN, SECOND, channel, messages
-from rsb_extras.courier.tests.courier_places import LEFT_FREE
+from rsb_extras.courier.tests.courier_places import FOLLOWS, LEFT_FREE
 from rsb_extras.recording.mcap_file import new_recording
 from rsb_extras.recording.reading.stored_message import StoredMessage
 
@@ -98,6 +99,32 @@ def test_a_fetch_is_loaded_up_to_what_is_missing(tmp_path: Path) -> None:
     part = FetchSpool.load(folder, lambda: False)
     assert part is not None
     assert (part.is_whole, part.at > Cursor()) == (False, True)
+
+
+def test_nothing_is_left_of_a_fetch_that_is_removed_at_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    content = [*messages(1)]
+    spool = spooled(tmp_path, content)
+    free, is_there = threading.Event(), threading.Event()
+
+    def held(*_: object) -> None:
+        is_there.set()
+        free.wait(60)
+
+    FOLLOWS.set(monkeypatch, held)
+    piece = cut(content)[0]
+    adding = threading.Thread(target=spool.add, args=(piece, encode_piece(piece)))
+    removing = threading.Thread(target=spool.remove)
+    adding.start()
+    is_there.wait(60)
+    removing.start()
+    removing.join(0.2)
+    free.set()
+    for each in (adding, removing):
+        each.join(60)
+    assert not spool.folder.exists()
+    with pytest.raises(InterruptedError):
+        spool.write(lambda: True)
+    assert not [*tmp_path.iterdir()]
 
 
 def test_the_file_leaves_room_on_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
