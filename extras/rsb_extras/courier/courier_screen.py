@@ -19,7 +19,7 @@ from rsb_console.feature_console import (
     side_of,
     wrapped,
 )
-from rsb_extras.courier.courier_command import CourierCommandText, bar_text, newest_first, texts_of
+from rsb_extras.courier.courier_command import HEADINGS, CourierCommandText, bar_text, newest_first, texts_of
 from rsb_extras.courier.courier_requests import CancelFetch, FetchRecording, FetchState, ListFetches, ListRecordings
 
 if TYPE_CHECKING:
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from rsb_extras.courier.courier_records import ListedRecording
     from rsb_extras.courier.courier_requests import FetchReport, RecordingGroup
 
-HEADINGS = "RECORDING", "SIDE", "BEGIN", "SPAN", "SIZE", "CAUSE", "TOPICS"
 HELP = "enter get   x give up   esc close"
 _WIDTH = 76  # cells, until the screen is laid out
 _TOPICS = 40  # that are named. A round figure
