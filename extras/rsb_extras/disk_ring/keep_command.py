@@ -15,6 +15,9 @@ if TYPE_CHECKING:
 
     from rsb_extras.disk_ring.keep_stretch import StretchAnswer
 
+_OTHERS = ("seconds", "output", "action", "begin", "end", "no_wait")
+"""Arguments of `record` that do something else, also those of `rsb_extras.courier`, where it is installed."""
+
 
 class KeptText(Wording):
     """What an operator reads of a stretch that is kept."""
@@ -22,7 +25,7 @@ class KeptText(Wording):
     KEPT = "kept, from {before:.0f} s before to {after:.0f} s after: {path}"
     KEPT_THERE = "kept, from {before:.0f} s before to {after:.0f} s after: {path} on {host}"
     LATER = "the folder has this name once it is whole; of several causes at a time there is one"
-    ALONE = "--keep goes with neither --seconds nor --output: the stretch is a folder on the bridge's machine"
+    ALONE = "--keep goes with no other argument of record: the stretch is a folder on the bridge's machine"
     TOO_LONG = "the note has {length} characters: at most {most}"
 
 
@@ -33,7 +36,7 @@ def line_about(kept: StretchAnswer, *, here: bool) -> str:
 
 
 def keep(arguments: Namespace) -> int:
-    if arguments.seconds is not None or arguments.output is not None:
+    if any(getattr(arguments, each, None) not in (None, False) for each in _OTHERS):
         raise UsageError(KeptText.ALONE())
     if len(arguments.keep) > NOTE_LENGTH:
         raise UsageError(KeptText.TOO_LONG(length=len(arguments.keep), most=NOTE_LENGTH))

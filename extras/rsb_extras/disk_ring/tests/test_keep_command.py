@@ -56,6 +56,8 @@ def test_option_keeps_a_stretch(ran: Any, machine: Machine, asked: list[KeepStre
     [
         (("--keep", "a", "--seconds", "3"), KeptText.ALONE),
         (("--keep", "a", "--output", "x.mcap"), KeptText.ALONE),
+        (("list", "--keep", "a"), KeptText.ALONE),
+        (("--keep", "a", "--from", "-30"), KeptText.ALONE),
         (("--keep", "a" * (NOTE_LENGTH + 1)), KeptText.TOO_LONG),
     ],
 )
