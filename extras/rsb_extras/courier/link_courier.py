@@ -160,6 +160,7 @@ class LinkCourier(AskingExtension):
         self._peer_has = False
         self._request = self._run = self._number = 0
         self._sending: _Sending | None = None
+        self._finding: asyncio.Future[Cutter] | None = None
         self._receiving: _Receiving | None = None
         self._route: Route | None = None
         self._drain: BytesDrain | None = None
@@ -236,13 +237,22 @@ class LinkCourier(AskingExtension):
             self._check(order)
             wanted = order.wanted
             kept = await asyncio.to_thread(self._kept.find, wanted.recording, wanted.stamp)
-            cutter = await asyncio.to_thread(_cutter, order, kept)
+            cutter = await self._cutter(order, kept)
             self._log(kept, begins=True)
             await self._send_pieces(sending, source, cutter, kept)
         except LinkError as error:
             self._end_run(order.run, str(error), is_final=False)
         except FetchError as error:
             self._end_run(order.run, str(error), is_final=True)
+
+    async def _cutter(self, order: BeginPieces, kept: Kept) -> Cutter:
+        """Find the place in a recording, one order after the other: of one that was given up, the thread goes on."""
+        while self._finding is not None and not self._finding.done():
+            await asyncio.wait((self._finding,))
+        finding = self._finding = self._context.loop.run_in_executor(None, _cutter, order, kept)
+        finding.add_done_callback(lambda done: done.cancelled() or done.exception())  # nobody may wait by then
+        await asyncio.wait((finding,))
+        return finding.result()
 
     async def _source(self, route_id: int) -> BytesSource:
         route = self._link.ids.open_route(route_id)

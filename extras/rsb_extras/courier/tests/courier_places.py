@@ -5,6 +5,7 @@ from __future__ import annotations
 from tests.support.places import Place
 
 ENCODED_PIECE = Place("rsb_extras.courier.link_courier", "encode_piece")
+CUTTER = Place("rsb_extras.courier.link_courier", "_cutter")
 LIST_PAGE = Place("rsb_extras.courier.link_courier", "LinkCourier._page")
 QUICK = Place("rsb_extras.courier.kept_recordings", "_QUICK")
 FOLLOWS = Place("rsb_extras.courier.fetch_spool", "check_follows")

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import threading
+import time
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -18,11 +20,11 @@ from rsb_extras.courier.courier_requests import (
     FetchState,
     ListRecordings,
 )
-from rsb_extras.courier.kept_recordings import KeptProblem
+from rsb_extras.courier.kept_recordings import FetchError, KeptProblem
 from rsb_extras.courier.link_courier import CourierCode
 from rsb_extras.courier.tests.bags import BEGAN, SECOND, in_bag, messages, write_bag
 from rsb_extras.courier.tests.courier_bed import done, fetch, fetches, listed, report, robot_features, two_sides
-from rsb_extras.courier.tests.courier_places import QUICK
+from rsb_extras.courier.tests.courier_places import CUTTER, QUICK
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -206,6 +208,33 @@ def test_a_fetch_is_given_up(bridge: Bridge, bags: Path, fetched: Path) -> None:
         assert not [*fetched.iterdir()]
         with pytest.raises(EngineError, match="there is no fetch"):
             pc.do(CancelFetch(name)).result(60)
+
+
+def test_orders_that_are_given_up_take_one_thread(bridge: Bridge, bags: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A place in a file without an index takes minutes to find, and a peer may ask 20 times in one."""
+    write_bag(bags / "drive.mcap", messages(1))
+    free, busy, most = threading.Event(), [0], [0]
+
+    def held(*_: object) -> None:
+        busy[0] += 1
+        most[0] = max(most[0], busy[0])
+        free.wait(60)
+        busy[0] -= 1
+        raise FetchError("as it is tried")
+
+    CUTTER.set(monkeypatch, held)
+    pc, _ = two_sides(bridge, bags)
+    for number in range(3):
+        name = fetch(pc, "drive.mcap")
+        eventually(lambda name=name: report(pc, name).state is FetchState.FETCHING, what="it is asked for")
+        if number < 2:
+            eventually(lambda: busy[0], what="the first one is looked for")
+            time.sleep(0.3)
+            pc.do(CancelFetch(name)).result(60)
+    time.sleep(0.5)
+    free.set()
+    eventually(lambda: report(pc, name).state is FetchState.FAILED, what="the last one is answered")
+    assert most == [1]
 
 
 def test_one_comes_after_the_other(bridge: Bridge, bags: Path, fetched: Path) -> None:
