@@ -26,7 +26,10 @@ class RouteFact:
     line: Callable[[RouteSnapshot], str]
 
 
-OF_CORE: Final = ("Type", "State", "Direction", "Carried by", "Link", "Rate", "Bytes")
+OF_CORE: Final = (
+    "Type", "Type hash", "State", "Requires arming", "ARMED by", "By hand", "Direction", "Carried by", "Link", "Rate",
+    "Bytes", "Waits for", "Drivers", "QoS of the bridge", "Latency", "Ledger",
+)  # fmt: skip
 """The core's own names."""
 ADDED_FACTS: Final[tuple[RouteFact, ...]] = added("route_facts", name_of=lambda fact: fact.label, taken=OF_CORE)
 
