@@ -27,6 +27,8 @@ PACKAGES = [
 ]
 WRITES_OTHERWISE = {
     "config/files.py": "what is not a file: a device or a pipe; `new_file`",
+    "courier/fetch_spool.py": "pieces in a folder of mode 0700",
+    "disk_ring/segments.py": "with `owner_only`",
     "demo/demo_session.py": "logs in a temporary folder, mode 0700",
     "bench/loopback.py": "sessions in a temporary folder, mode 0700",
     "bench/kept_messages.py": "messages in such a folder",

@@ -220,7 +220,7 @@ def _without_oldest(self: Any) -> Iterator[Any]:
 
 def _drop_half(self: Any, _: float) -> None:
     """Replace `Outbox.resume` by one that takes the older half for too old."""
-    self._ledger.drop("outage", len(self._queue.take(len(self) // 2, 1 << 30)))
+    self._ledger.drop("outage", len(self.queue.take(len(self) // 2, 1 << 30)))
 
 
 def _none(_: Any) -> Iterator[Any]:

@@ -18,7 +18,7 @@ PAGE = 16
 """The most recordings of an answer."""
 LATEST = (1 << 63) - 1
 
-RecordingId: TypeAlias = Annotated[str, Meta(pattern=r"\A[0-9a-f]{16}\Z")]
+RecordingId: TypeAlias = Annotated[str, Meta(max_length=16, pattern=r"\A[0-9a-f]{16}\Z")]
 """Made by the side that has the recording, of its folder and its name: what a peer names never becomes a path."""
 TopicNames: TypeAlias = Annotated[tuple[Name, ...], Meta(max_length=MOST_TOPICS)]
 
