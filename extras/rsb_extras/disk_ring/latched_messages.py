@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import deque
+from collections import OrderedDict
 from operator import attrgetter
 from typing import TYPE_CHECKING
 
@@ -20,6 +20,23 @@ _PUBLISHERS = 256
 """Publishers of a topic. A round figure: a node that starts again and again with other content has the oldest go."""
 
 
+class _Kept:
+    """Messages of one publisher by their content, oldest first."""
+
+    def __init__(self) -> None:
+        self.messages: OrderedDict[bytes, RingMessage] = OrderedDict()
+        self.size = 0
+
+
+class _Topic:
+    """Messages of one topic, by publisher, of which the newest is last; and whose message has a content."""
+
+    def __init__(self) -> None:
+        self.publishers: OrderedDict[bytes, _Kept] = OrderedDict()
+        self.publisher_of: dict[bytes, bytes] = {}
+        self.size = 0
+
+
 class LatchedMessages:
     """The newest messages of latched topics, by publisher: those of one never push out another's, as on /tf_static.
 
@@ -27,41 +44,47 @@ class LatchedMessages:
     """
 
     def __init__(self) -> None:
-        self._topics: dict[str, dict[bytes, deque[RingMessage]]] = {}
+        self._topics: dict[str, _Topic] = {}
         self.size = 0
 
     def __iter__(self) -> Iterator[RingMessage]:
         """Yield all, oldest first."""
-        found = (each for publishers in self._topics.values() for kept in publishers.values() for each in kept)
-        return iter(sorted(found, key=attrgetter("at")))
+        kept = (each for topic in self._topics.values() for each in topic.publishers.values())
+        return iter(sorted((message for each in kept for message in each.messages.values()), key=attrgetter("at")))
 
     def add(self, message: RingMessage) -> None:
         """Keep a latched topic's message."""
-        publishers = self._topics.setdefault(message.topic.topic, {})
-        self._forget_same(publishers, message)
-        kept = publishers.pop(message.publisher, None) or deque()
-        publishers[message.publisher] = kept  # the newest publisher last
-        kept.append(message)
-        self.size += message.cost
-        older = _OLDER if message.publisher else 16 * _OLDER
-        while len(kept) > 1 and sum(each.cost for each in kept) - message.cost > older:
-            self.size -= kept.popleft().cost
-        if len(publishers) > _PUBLISHERS:
-            self.size -= sum(each.cost for each in publishers.pop(next(iter(publishers))))
-        while self.size > _SIZE and self.size > message.cost:
-            self._shrink()
+        if (topic := self._topics.get(message.topic.topic)) is None:
+            topic = self._topics[message.topic.topic] = _Topic()
+        content, publisher, cost = message.content, message.publisher, message.cost
+        if (known := topic.publisher_of.get(content)) is not None:
+            self._forget(topic, known, content)
+        if (kept := topic.publishers.get(publisher)) is None:
+            kept = topic.publishers[publisher] = _Kept()
+        topic.publishers.move_to_end(publisher)
+        kept.messages[content] = message
+        topic.publisher_of[content] = publisher
+        for each in (self, topic, kept):
+            each.size += cost
+        older = _OLDER if publisher else 16 * _OLDER
+        while len(kept.messages) > 1 and kept.size - cost > older:
+            self._forget_oldest(topic, publisher)
+        if len(topic.publishers) > _PUBLISHERS:
+            oldest = next(iter(topic.publishers))
+            while oldest in topic.publishers:
+                self._forget_oldest(topic, oldest)
+        while self.size > _SIZE and self.size > cost:
+            largest = max(self._topics.values(), key=attrgetter("size"))
+            self._forget_oldest(largest, next(iter(largest.publishers)))
 
-    def _forget_same(self, publishers: dict[bytes, deque[RingMessage]], message: RingMessage) -> None:
-        for publisher, kept in [*publishers.items()]:
-            for each in [each for each in kept if each.content == message.content]:
-                kept.remove(each)
-                self.size -= each.cost
-            if not kept:
-                del publishers[publisher]
+    def _forget_oldest(self, topic: _Topic, publisher: bytes) -> None:
+        self._forget(topic, publisher, next(iter(topic.publishers[publisher].messages)))
 
-    def _shrink(self) -> None:
-        largest = max(self._topics.values(), key=lambda of: sum(each.cost for kept in of.values() for each in kept))
-        publisher, kept = next(iter(largest.items()))
-        self.size -= kept.popleft().cost
-        if not kept:
-            del largest[publisher]
+    def _forget(self, topic: _Topic, publisher: bytes, content: bytes) -> None:
+        kept = topic.publishers[publisher]
+        cost = kept.messages.pop(content).cost
+        del topic.publisher_of[content]
+        for each in (self, topic, kept):
+            each.size -= cost
+        if not kept.messages:
+            del topic.publishers[publisher]

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+import time
 from typing import TYPE_CHECKING
 
 import pytest
 
+from rsb_extras.disk_ring.latched_messages import LatchedMessages
 from rsb_extras.disk_ring.ring_codes import RingCode
-from rsb_extras.disk_ring.tests.ring_bed import FRAMES, LATCHED, RingBed, spec, texts
+from rsb_extras.disk_ring.tests.ring_bed import FRAMES, LATCHED, RingBed, message, spec, texts
 from rsb_extras.recording import RecordLimits
 from rsb_extras.recording.tests.recordings import read, read_strictly
 
@@ -55,6 +57,18 @@ def test_nothing_pushes_out_a_static_transform(bed: RingBed) -> None:
     bed.end()
     assert texts(bed.segments[-1], "/tf_static")[0] == "stays"
     assert len(texts(bed.segments[-1], "/tf_static")) == 2
+
+
+@pytest.mark.parametrize("publisher", [b"", b"one"])
+def test_latched_messages_at_a_rate_cost_little(publisher: bytes) -> None:
+    latched = LatchedMessages()
+    began = time.process_time()
+    for number in range(6000):
+        latched.add(message(float(number), f"at {number}", FRAMES, publisher))
+    assert time.process_time() - began < 2.0, "0.1 s; 10 s where each message looks at all before"
+    kept = [*latched]
+    assert sum(each.cost for each in kept) == latched.size <= (64 << 10) * (1 if publisher else 16) + kept[-1].cost
+    assert [each.at for each in kept] == [float(number) for number in range(6000 - len(kept), 6000)]
 
 
 def test_bytes_are_bounded(tmp_path: Path) -> None:
