@@ -46,9 +46,11 @@ class World:
     def wait(self, seconds: float) -> None:
         for _ in range(int(seconds)):
             self.loop.jump(1.0)
-            if self.peer.timetable.look(self.loop.time()):
-                self.ticks.append(self.loop.time())
-                self.sender.route.tick()
+            now = self.loop.time()
+            for route in self.peer.timetable.look(now):
+                route.tick_if_due(now, looked_at=False)
+                if not route.idling.goes_on_now:
+                    self.ticks.append(now)
 
     def wait_until_idle(self) -> None:
         """Wait until the route is idle, and start counting its ticks."""

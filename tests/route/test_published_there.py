@@ -44,8 +44,8 @@ def tick(half: Receiver, peer: FakePeer, loop: VirtualLoop, seconds: int) -> Non
     """Tick the route as its link does: seldom once nothing happens."""
     for _ in range(seconds):
         loop.run_until_complete(asyncio.sleep(1.0))
-        if peer.timetable.look(loop.time()):
-            half.route.tick()
+        for route in peer.timetable.look(loop.time()):
+            route.tick_if_due(loop.time(), looked_at=False)
 
 
 @pytest.mark.parametrize(

@@ -62,9 +62,11 @@ class Flowing:
                 self._message()
             self.loop.jump(0.5)
             self._report()
-            if self.peer.timetable.look(self.loop.time(), looked_at=self.peer.is_looked_at):
-                self.ticks.append(self.loop.time())
-                self.route.tick()
+            now = self.loop.time()
+            for route in self.peer.timetable.look(now):
+                route.tick_if_due(now, looked_at=self.peer.is_looked_at)
+                if not route.idling.goes_on_now:
+                    self.ticks.append(now)
 
     def _message(self) -> None:
         self.count += 1

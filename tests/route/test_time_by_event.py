@@ -198,8 +198,8 @@ def live(seed: int, *, looked_at: bool = True) -> int:
             polled.second()
             with patch("rsb_bridge.route.route.stays_fine", lambda *_: False):
                 polled.half.route.tick()
-            if by_event.peer.timetable.look(loop.time()):
-                by_event.half.route.tick()
+            for route in by_event.peer.timetable.look(loop.time()):
+                route.tick_if_due(loop.time(), looked_at=looked_at)
             idle += by_event.half.route.idle if looked_at else by_event.half.route.idling.goes_on_now
             says, said = (each.says() if looked_at else each.judges() for each in (by_event, polled))
             assert says == said, f"seed {seed}, {loop.time():.0f} s"

@@ -491,7 +491,11 @@ class RouteTable(Extension):
             for route in link.routes.values():
                 route.judge_again()
         looked_at = link.is_looked_at or self._context.is_looked_at()  # the link finds out later in this second
-        await in_slices(link.timetable.look(now, looked_at=looked_at), lambda route: link.guarded(route.tick))
+
+        def tick(route: Route) -> None:
+            link.guarded(lambda: route.tick_if_due(now, looked_at=looked_at))
+
+        await in_slices(link.timetable.look(now), tick)
 
     def tick(self) -> None:
         """Propose refused routes again, and remove routes that the peer no longer wants."""

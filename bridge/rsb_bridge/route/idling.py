@@ -117,12 +117,6 @@ class Tickable(Protocol):
     idle: bool
     idling: Idling
 
-    @property
-    def meter(self) -> GoesOn: ...
-
-    @property
-    def half(self) -> GoesOn: ...
-
     def rests(self, now: float) -> bool:
         """Whether it needs no tick at `now` (s)."""
 
@@ -154,12 +148,8 @@ class Timetable(Generic[TickableT]):
         self.awake[route] = None
         self.changes += 1
 
-    def look(self, now: float, *, looked_at: bool = False) -> list[TickableT]:
-        """Return the routes to tick at `now` (s). Called once a second.
-
-        Args:
-            looked_at: whether somebody looks at the figures, so that all are ticked that are not idle.
-        """
+    def look(self, now: float) -> list[TickableT]:
+        """Return the routes that are not idle at `now` (s). Called once a second."""
         times = self._times
         while times and times[0][0] <= now:
             until, _, route = heappop(times)
@@ -174,7 +164,7 @@ class Timetable(Generic[TickableT]):
             self._times = [each for each in times if each[2].idle and each[2].idling.until == each[0]]
             heapify(self._times)
         self.looked = now
-        return [each for each in self.awake if looked_at or not each.idling.goes_on(now, each.meter, each.half)]
+        return [*self.awake]
 
     def remove(self, route: TickableT) -> None:
         """Forget a route that has gone."""
