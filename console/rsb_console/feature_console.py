@@ -9,7 +9,7 @@ from rsb_bridge.feature import late_names
 if TYPE_CHECKING:
     from rsb_console.actions.action import Action, Beginning, CameraSight, Group, KeyChapter, OnNode, OnRobot, late
     from rsb_console.actions.all_actions import ACTIONS
-    from rsb_console.command.argument_values import count, seconds, within
+    from rsb_console.command.argument_values import count, seconds, topic_pattern, within
     from rsb_console.command.formatting import json_line, json_value
     from rsb_console.command.remote_arguments import (
         EXIT,
@@ -74,7 +74,7 @@ _NAMES = {
         "CameraSight",
         "late",
     ),
-    "rsb_console.command.argument_values": ("count", "seconds", "within"),
+    "rsb_console.command.argument_values": ("count", "seconds", "topic_pattern", "within"),
     "rsb_console.command.formatting": ("json_line", "json_value"),
     "rsb_console.command.remote_arguments": (
         "EXIT",

@@ -34,7 +34,7 @@ from rsb_console.command.local_commands import LocalText
 from rsb_console.command.shell import CommandText
 
 COMMAND = str(Path(sys.executable).with_name("rsb-console"))
-MOST_MODULES = 256
+MOST_MODULES = 264
 """Half of what the console takes; Python itself takes a third.
 
 Of the standard library only what has a public name counts: what is below that differs from Python to Python.

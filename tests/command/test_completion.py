@@ -126,7 +126,7 @@ def test_it_is_offered(line: str, expected: set[str], offered: Callable[[str], s
     [
         ("rsb-console ke", {"keygen"}),
         ("rsb-console run --lo", {"--log-format"}),
-        ("rsb-console c", {"call", "check", "client", "completion", "control.yaml", "configs/"}),
+        ("rsb-console c", {"call", "check", "client", "completion", "component", "control.yaml", "configs/"}),
         ("rsb-console check configs/", {"configs/a.yml"}),
         ("rsb-console run ", {"robot1.yaml", "control.yaml", "configs/"}),
         ("rsb-console control.yaml --log-format ", {"text", "json"}),
@@ -170,7 +170,11 @@ def test_no_argument_is_left_out() -> None:
         "N", "HZ", "BYTES", "SECONDS", "SPAN", "YAML", "VALUE", "PATTERN", "ADDRESS", "N,...", "A,B", "NAME,...",
         "DEGREES", "FRAME", "TEXT", "TIME",
     }  # fmt: skip
-    own = {"audit --pair", "import --name", "import --port", "client add NAME", "pub --type", "review TOPIC"}
+    own = {
+        "audit --pair", "import --name", "import --port", "client add NAME", "pub --type", "review TOPIC",
+        "record --keep", "component load PACKAGE", "component load PLUGIN",
+        *(f"component load --{option}" for option in ("name", "namespace", "param", "remap")),
+    }  # fmt: skip
 
     def missing(parser: argparse.ArgumentParser, name: str) -> Iterator[str]:
         for word, each in subcommands_of(parser).items():

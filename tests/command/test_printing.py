@@ -37,6 +37,7 @@ PRINTS = {
     "terminal/driver.py": "the app's own terminal",
     "bench/bench_command.py": "one line of progress, cleaned",
     "bench/measured_stream.py": "a child's pipe",
+    "courier/courier_command.py": "a bar of figures, with the name of a recording that is cleaned",
     "demo/router.py": "a child's pipe",
     "demo/simulated_part.py": "a child's pipe",
     "doctor/large_messages.py": "a child's pipe",
@@ -44,6 +45,7 @@ PRINTS = {
     "pictures/confinement.py": "a trial's pipe",
     "pictures/look_command.py": "rows of pictures, cleaned by `decode_picture` and `clean`",
     "pictures/worker.py": "a child's pipe",
+    "playing/play_command.py": "a line of figures",
 }
 
 

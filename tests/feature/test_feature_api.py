@@ -22,10 +22,11 @@ ROOT = Path(__file__).parents[2]
 FEATURES = ROOT / "extras/rsb_extras"
 APIS = [feature_api, feature_console]
 BEYOND = {
-    "audit": 23,
+    "audit": 19,
     "bench": 33,
-    "courier": 8,
+    "courier": 9,
     "demo": 29,
+    "disk_ring": 14,
     "doctor": 68,
     "driving": 55,
     "exporters": 24,
@@ -41,7 +42,8 @@ BEYOND = {
     "operators": 24,
     "own_commands": 7,
     "pictures": 41,
-    "recording": 14,
+    "playing": 22,
+    "recording": 18,
     "service": 1,
     "units": 3,
     "zenoh": 32,

@@ -127,8 +127,8 @@ def polled_too() -> Iterator[Counter[str]]:
 
     known: defaultdict[Timetable[Any], set[Any]] = defaultdict(set)
 
-    def polling(table: Timetable[Any], now: float, *, looked_at: bool) -> list[Any]:
-        due: list[Any] = look(table, now, looked_at=looked_at)
+    def polling(table: Timetable[Any], now: float) -> list[Any]:
+        due: list[Any] = look(table, now)
         known[table] |= {*due, *table.awake}
         for route in known[table]:
             if route.idling.until == -inf:  # it has been removed

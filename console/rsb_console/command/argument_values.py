@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
+from rsb_bridge.model.patterns import Pattern, is_valid
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
@@ -77,3 +78,14 @@ def _number(text: str) -> float:
         return float(text)
     except ValueError:
         return float("nan")
+
+
+def topic_pattern(text: str) -> Pattern:
+    """Parse a topic's name or a pattern of names.
+
+    Raises:
+        argparse.ArgumentTypeError: it is neither a name nor a pattern.
+    """
+    if not is_valid(text):
+        raise argparse.ArgumentTypeError(f"{text!r} is neither a topic's name (/scan) nor a pattern (/camera/**)")
+    return Pattern(text)

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 class AuditFeature(Feature):
     name = "audit"
+    needs = ("recording",)
     libraries: ClassVar[Mapping[str, str]] = {"record": "mcap"}
 
     def subcommands(self, add: AddCommand, complete: Complete) -> None:

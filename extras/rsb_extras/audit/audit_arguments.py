@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.names import is_topic_name
-from rsb_bridge.model.patterns import Pattern, is_valid
-from rsb_console.feature_console import seconds, subcommand
+from rsb_console.feature_console import seconds, subcommand, topic_pattern
 
 if TYPE_CHECKING:
     from rsb_console.feature_console import AddCommand, Complete
@@ -37,12 +36,12 @@ def add_audit_command(command: AddCommand, complete: Complete) -> None:
     for side, which in (("near", "the recording where messages come from"), ("far", "the one where they arrive")):
         complete(parser.add_argument(side, type=Path, metavar=side.upper(), help=which), "files")
     only = "judge only these topics, which have to cross; may be repeated"
-    parser.add_argument("--topic", type=pattern, action="append", default=[], metavar="PATTERN", help=only)
+    parser.add_argument("--topic", type=topic_pattern, action="append", default=[], metavar="PATTERN", help=only)
     names = "topics that belong together; may be repeated. Default: the same name, or one with a prefix"
     parser.add_argument("--pair", type=names_of_pair, action="append", default=[], metavar="NEAR=FAR", help=names)
     for name, ends in (("back", "FAR to NEAR"), ("forth", "NEAR to FAR")):
         which = f"topics that go from {ends}; may be repeated. Default: found from the messages"
-        parser.add_argument(f"--{name}", type=pattern, action="append", default=[], metavar="PATTERN", help=which)
+        parser.add_argument(f"--{name}", type=topic_pattern, action="append", default=[], metavar="PATTERN", help=which)
     ahead = "FAR's clock is ahead by so much; default: found from the messages"
     parser.add_argument("--offset", type=offset, metavar="SECONDS", help=ahead)
     silence = "list silences longer than this, of topics that usually have none (%(default)g)"
@@ -50,17 +49,6 @@ def add_audit_command(command: AddCommand, complete: Complete) -> None:
     shorter = "one recording may be shorter: judge only the time of both"
     parser.add_argument("--overlap", action="store_true", help=shorter)
     parser.add_argument("--json", action="store_true", help="print JSON, for programs")
-
-
-def pattern(text: str) -> Pattern:
-    """Parse a topic's name or a pattern of names.
-
-    Raises:
-        argparse.ArgumentTypeError: it is neither a name nor a pattern.
-    """
-    if not is_valid(text):
-        raise argparse.ArgumentTypeError(f"{text!r} is neither a topic's name (/scan) nor a pattern (/camera/**)")
-    return Pattern(text)
 
 
 def names_of_pair(text: str) -> tuple[str, str]:

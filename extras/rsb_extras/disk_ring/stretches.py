@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
 
 import msgspec
 
-from rsb_bridge.config.files import UNFINISHED, make_folder, replace_file, stat_of
+from rsb_bridge.config.files import UNFINISHED, stat_of
+from rsb_bridge.feature_api import make_folder, replace_file
 from rsb_extras.disk_ring.bag_metadata import NAME, BagFigures, bag_metadata
 from rsb_extras.disk_ring.segments import SUFFIX, sync_folder
 

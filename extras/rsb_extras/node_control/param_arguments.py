@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rsb_console.feature_console import NO_BRIDGE, KeyChapter, bridge_options, inherit_bridge_options, subcommand
-from rsb_extras.node_control.parameter_records import PARAMETER_TYPES
+from rsb_extras.node_control.parameter_types import PARAMETER_TYPES
 
 if TYPE_CHECKING:
     from argparse import ArgumentParser

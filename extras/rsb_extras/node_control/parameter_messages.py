@@ -10,11 +10,10 @@ from rsb_bridge.feature_api import sanitize_text
 from rsb_extras.node_control.cdr_fields import FieldReader, FieldWriter, MalformedAnswerError
 from rsb_extras.node_control.parameter_records import (
     MOST_PARAMETERS,
-    PARAMETER_TYPES,
     ParameterRange,
-    ParameterType,
     ParameterValue,
 )
+from rsb_extras.node_control.parameter_types import PARAMETER_TYPES, ParameterType
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import sys
 from hashlib import blake2b
-from typing import Annotated, Any, Literal, TypeAlias, get_args
+from typing import Annotated, Any, Literal, TypeAlias
 
 import msgspec
 from msgspec import Meta
 
 from rsb_bridge.feature_api import PRINTABLE, ControlMessageBase, Count, Name, Reason, Wording, one_line
 from rsb_extras.node_control.change_records import Target
+from rsb_extras.node_control.parameter_types import ParameterType
 
 MOST_PARAMETERS = 2000
 """Of a node. A round figure: Nav2's controller server has 300."""
@@ -25,12 +26,6 @@ SHOWN_VALUE = 256
 MOST_SET, LARGEST_CHANGE = 200, 32 << 10
 """Parameters in one change, and bytes of their values: a console's request has 64 KiB."""
 
-ParameterType: TypeAlias = Literal[
-    "not_set", "bool", "integer", "double", "string",
-    "byte_array", "bool_array", "integer_array", "double_array", "string_array",
-]  # fmt: skip
-"""At its number in rcl_interfaces/msg/ParameterType."""
-PARAMETER_TYPES: tuple[ParameterType, ...] = get_args(ParameterType)
 Integer: TypeAlias = Annotated[int, Meta(ge=-(2**63), le=2**63 - 1)]
 Figure: TypeAlias = Annotated[float, Meta(ge=-sys.float_info.max, le=sys.float_info.max)]
 ParameterName: TypeAlias = Annotated[str, Meta(min_length=1, max_length=255, pattern=PRINTABLE)]

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 class PlayingFeature(Feature):
     name = "playing"
+    needs = ("pictures", "recording")
     libraries: ClassVar[Mapping[str, str]] = {"record": "mcap"}
 
     def subcommands(self, add: AddCommand, complete: Complete) -> None:

@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.limits import DOMAIN
-from rsb_console.feature_console import subcommand, within
-from rsb_extras.audit.audit_arguments import pattern
+from rsb_console.feature_console import subcommand, topic_pattern, within
 
 if TYPE_CHECKING:
     from rsb_console.feature_console import AddCommand, Complete
@@ -55,7 +54,7 @@ def add_play(add: AddCommand, complete: Complete) -> None:
     complete(parser.add_argument("file", type=Path, metavar="FILE", help="the recording"), "files")
     parser.add_argument("--domain", type=domain_id, required=True, metavar="N", help="ROS domain to publish in")
     only = "play only these topics"
-    parser.add_argument("--topics", type=pattern, nargs="+", default=[], metavar="PATTERN", help=only)
+    parser.add_argument("--topics", type=topic_pattern, nargs="+", default=[], metavar="PATTERN", help=only)
     speed = "how many times as fast as it was recorded (%(default)g)"
     parser.add_argument("--rate", type=within(0.01, 1000), default=1.0, metavar="N", help=speed)
     for name, until in (("from", "play from there on, in seconds from its begin"), ("to", "play up to there")):

@@ -22,6 +22,8 @@ from rsb_extras import node_control
 from rsb_extras.node_control.change_records import (
     ChangeOutcome,
     ChangeStep,
+    Component,
+    Container,
     ListedGroup,
     Managed,
     ManagedNode,
@@ -79,6 +81,7 @@ def test_the_page_documents_each_field() -> None:
     page = Path(node_control.__file__).with_name("docs") / "node-control-protocol.md"
     kinds = (
         AskManaged, ManagedAnswer, RunChange, ChangeEnded, Managed, ManagedNode, ListedGroup, NodeChange, ChangeOutcome,
+        Component, Container,
         ChangeStep, AskParameters, ParametersAnswer, ParameterNode, NodeParameter, ParameterValue, NewValue,
     )  # fmt: skip
     assert documented_fields(page.read_text(encoding="utf-8")) == {
