@@ -15,7 +15,7 @@ from rsb_bridge.model.faults import PathFault
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause, LinkCause
-from rsb_bridge.route.idling import POLLED_EVERY, SETTLES, Idling
+from rsb_bridge.route.idling import POLLED_EVERY, SETTLES, Idling, tick_if_due
 from rsb_bridge.route.sender import Sender
 from rsb_bridge.wire.records import ReceivedCounts, ReceivedReport, VerdictRecord
 
@@ -48,7 +48,7 @@ class World:
             self.loop.jump(1.0)
             now = self.loop.time()
             for route in self.peer.timetable.look(now):
-                route.tick_if_due(now, looked_at=False)
+                tick_if_due(route, now, looked_at=False)
                 if not route.idling.goes_on_now:
                     self.ticks.append(now)
 

@@ -12,6 +12,7 @@ from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
 from rsb_bridge.ros.no_ros import NoRos
 from rsb_bridge.ros.ros_interface import Endpoint
+from rsb_bridge.route.idling import tick_if_due
 from rsb_bridge.route.receiver import Receiver
 from rsb_bridge.wire.records import ReceivedReport, SentReport
 
@@ -45,7 +46,7 @@ def tick(half: Receiver, peer: FakePeer, loop: VirtualLoop, seconds: int) -> Non
     for _ in range(seconds):
         loop.run_until_complete(asyncio.sleep(1.0))
         for route in peer.timetable.look(loop.time()):
-            route.tick_if_due(loop.time(), looked_at=False)
+            tick_if_due(route, loop.time(), looked_at=False)
 
 
 @pytest.mark.parametrize(

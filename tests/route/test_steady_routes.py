@@ -17,6 +17,7 @@ from rsb_bridge.model.faults import PathFault
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.ros.publication_numbers import Untaken
+from rsb_bridge.route.idling import tick_if_due
 from rsb_bridge.route.receiver import Receiver
 from rsb_bridge.route.sender import Sender
 from rsb_bridge.wire.records import ReceivedCounts, SentCounts
@@ -64,7 +65,7 @@ class Flowing:
             self._report()
             now = self.loop.time()
             for route in self.peer.timetable.look(now):
-                route.tick_if_due(now, looked_at=self.peer.is_looked_at)
+                tick_if_due(route, now, looked_at=self.peer.is_looked_at)
                 if not route.idling.goes_on_now:
                     self.ticks.append(now)
 

@@ -32,6 +32,7 @@ from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause, LinkCause, Verdict
 from rsb_bridge.ros.publication_numbers import PublicationNumbers
 from rsb_bridge.route.blocking_rules import judge
+from rsb_bridge.route.idling import tick_if_due
 from rsb_bridge.route.receiver import Receiver
 from rsb_bridge.route.sender import Sender
 from rsb_bridge.route.topic_facts import SenderFacts
@@ -199,7 +200,7 @@ def live(seed: int, *, looked_at: bool = True) -> int:
             with patch("rsb_bridge.route.route.stays_fine", lambda *_: False):
                 polled.half.route.tick()
             for route in by_event.peer.timetable.look(loop.time()):
-                route.tick_if_due(loop.time(), looked_at=looked_at)
+                tick_if_due(route, loop.time(), looked_at=looked_at)
             idle += by_event.half.route.idle if looked_at else by_event.half.route.idling.goes_on_now
             says, said = (each.says() if looked_at else each.judges() for each in (by_event, polled))
             assert says == said, f"seed {seed}, {loop.time():.0f} s"

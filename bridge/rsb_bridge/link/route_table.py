@@ -36,6 +36,7 @@ from rsb_bridge.model.topic_keys import of_peer
 from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.calls.caller import Caller
 from rsb_bridge.route.calls.provider import Provider
+from rsb_bridge.route.idling import tick_if_due
 from rsb_bridge.route.receiver import Receiver
 from rsb_bridge.route.route import Entry, Route, route_key
 from rsb_bridge.route.sender import Sender
@@ -493,7 +494,7 @@ class RouteTable(Extension):
         looked_at = link.is_looked_at or self._context.is_looked_at()  # the link finds out later in this second
 
         def tick(route: Route) -> None:
-            link.guarded(lambda: route.tick_if_due(now, looked_at=looked_at))
+            link.guarded(lambda: tick_if_due(route, now, looked_at=looked_at))
 
         await in_slices(link.timetable.look(now), tick)
 

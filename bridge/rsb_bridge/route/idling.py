@@ -117,6 +117,15 @@ class Tickable(Protocol):
     idle: bool
     idling: Idling
 
+    @property
+    def meter(self) -> GoesOn: ...
+
+    @property
+    def half(self) -> GoesOn: ...
+
+    def tick(self) -> None:
+        """Do what is done once a second."""
+
     def rests(self, now: float) -> bool:
         """Whether it needs no tick at `now` (s)."""
 
@@ -125,6 +134,12 @@ class Tickable(Protocol):
 
 
 TickableT = TypeVar("TickableT", bound=Tickable)
+
+
+def tick_if_due(route: Tickable, now: float, *, looked_at: bool) -> None:
+    """Tick a route at `now` (s), unless its messages go on as before and nobody looks."""
+    if looked_at or not route.idling.goes_on(now, route.meter, route.half):
+        route.tick()
 
 
 class Timetable(Generic[TickableT]):

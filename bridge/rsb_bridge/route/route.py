@@ -462,11 +462,6 @@ class Route:
         fine = self._verdict is not None and self._verdict.state not in _STOPS
         return fine and self.transport.reliable and not self.reopening.refused and self.half.is_calm(now)
 
-    def tick_if_due(self, now: float, *, looked_at: bool) -> None:
-        """Tick it at `now` (s), unless its messages go on as before and nobody looks."""
-        if looked_at or not self.idling.goes_on(now, self.meter, self.half):
-            self.tick()
-
     def tick(self) -> None:
         """Update the figures and report a changed verdict; called once a second while the route is not idle."""
         now, crossing, learns = self.context.now(), self.crossing, self.half.facts.learns

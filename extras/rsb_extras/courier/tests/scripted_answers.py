@@ -29,6 +29,10 @@ GROUPS = (
 FETCH = FetchReport(
     "robot1-drive", "robot1", DRIVE.name, FetchState.FETCHING, 0.25, 42_000_000, 1_500_000.0, 84.0
 )  # fmt: skip
+DONE = FetchReport(
+    "robot1-run7", "robot1", "run7", FetchState.DONE, 1.0, 184_000_000, 0.0, 0.0, 18_000,
+    "/var/lib/rsb-console/recordings/fetched/robot1-run7.mcap",
+)  # fmt: skip
 
 
 def _listed(command: ListRecordings) -> Any:
@@ -37,7 +41,7 @@ def _listed(command: ListRecordings) -> Any:
 
 ANSWERS: dict[Any, Any] = {
     ListRecordings: _listed,
-    FetchRecording: lambda _: FETCH.name,
-    ListFetches: lambda _: (FETCH,),
+    FetchRecording: lambda _: DONE.name,
+    ListFetches: lambda _: (FETCH, DONE),
     CancelFetch: lambda _: None,
 }

@@ -12,7 +12,7 @@ from tests.console.scripted import ScriptedEngine, answers
 from rsb_console.command.shell import FAILURE, OK, USAGE
 from rsb_extras.courier.courier_records import LATEST
 from rsb_extras.courier.courier_requests import CancelFetch, FetchRecording, FetchState, ListFetches
-from rsb_extras.courier.tests.scripted_answers import BEGAN, DRIVE, FETCH
+from rsb_extras.courier.tests.scripted_answers import BEGAN, DONE, DRIVE, FETCH
 
 if TYPE_CHECKING:
     from tests.support.commands import Ran
@@ -91,7 +91,7 @@ def test_times_are_of_the_recording(options: tuple[str, ...], begin: int, end: i
 
 
 def test_a_failed_fetch_is_a_failure(machine: Machine, ran: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    failed = replace(FETCH, state=FetchState.FAILED, reason="the recording has changed")
+    failed = replace(DONE, state=FetchState.FAILED, reason="the recording has changed")
     known: Any = answers()
     monkeypatch.setitem(known, ListFetches, lambda _: (failed,))
     machine.have(ScriptedEngine())
