@@ -144,7 +144,7 @@ def test_a_recording_that_changes_ends_the_fetch(bridge: Bridge, bags: Path, fet
 
 
 def test_a_fetch_outlives_cuts_and_restarts_of_each_side(bridge: Bridge, bags: Path, fetched: Path) -> None:
-    written = write_bag(bags / "drive.mcap", messages(60, 5000))
+    written = write_bag(bags / "drive.mcap", messages(240, 5000))
     with Relay(("127.0.0.1", bridge.port), rate=600_000) as relay:
         bridge.through(relay)
         pc, robot = two_sides(bridge, bags)
