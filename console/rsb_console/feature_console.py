@@ -16,14 +16,25 @@ if TYPE_CHECKING:
         NO_BRIDGE,
         AddCommand,
         Complete,
+        bridge_commands,
         bridge_options,
         inherit_bridge_options,
         named_bridge_options,
         route_arguments,
+        side_options,
         subcommand,
     )
-    from rsb_console.command.shell import FAILURE, INTERRUPTED, OK, USAGE, print_error, print_line, print_lines
-    from rsb_console.command.sides import chosen_side, table_lines
+    from rsb_console.command.shell import (
+        FAILURE,
+        INTERRUPTED,
+        OK,
+        USAGE,
+        print_error,
+        print_line,
+        print_lines,
+        redraw_line,
+    )
+    from rsb_console.command.sides import chosen_side, print_problems, problems_of, table_lines
     from rsb_console.command.target import (
         NoBridgeError,
         UsageError,
@@ -81,14 +92,25 @@ _NAMES = {
         "NO_BRIDGE",
         "AddCommand",
         "Complete",
+        "bridge_commands",
         "bridge_options",
         "inherit_bridge_options",
         "named_bridge_options",
         "route_arguments",
+        "side_options",
         "subcommand",
     ),
-    "rsb_console.command.shell": ("FAILURE", "INTERRUPTED", "OK", "USAGE", "print_error", "print_line", "print_lines"),
-    "rsb_console.command.sides": ("chosen_side", "table_lines"),
+    "rsb_console.command.shell": (
+        "FAILURE",
+        "INTERRUPTED",
+        "OK",
+        "USAGE",
+        "print_error",
+        "print_line",
+        "print_lines",
+        "redraw_line",
+    ),
+    "rsb_console.command.sides": ("chosen_side", "print_problems", "problems_of", "table_lines"),
     "rsb_console.command.target": (
         "NoBridgeError",
         "UsageError",

@@ -22,7 +22,7 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import RefusedClient, State
 from rsb_bridge.model.text import escape_json, is_clean, one_line, several_lines
 from rsb_console.command.headless import LogWriter
-from rsb_console.command.shell import CleanErrors, print_error, print_line, print_lines
+from rsb_console.command.shell import CleanErrors, print_error, print_line, print_lines, redraw_line
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -32,12 +32,11 @@ if TYPE_CHECKING:
 CONSOLE = Path(__file__).parents[2] / "console" / "rsb_console"
 EXTRAS = Path(__file__).parents[2] / "extras" / "rsb_extras"
 PRINTS = {
-    "command/shell.py": "print_line, print_lines, print_error and CleanErrors",
+    "command/shell.py": "print_line, print_lines, redraw_line, print_error and CleanErrors",
     "command/headless.py": "lines of the log, each cleaned by `LogWriter.write`",
     "terminal/driver.py": "the app's own terminal",
     "bench/bench_command.py": "one line of progress, cleaned",
     "bench/measured_stream.py": "a child's pipe",
-    "courier/courier_command.py": "a bar of figures, with the name of a recording that is cleaned",
     "demo/router.py": "a child's pipe",
     "demo/simulated_part.py": "a child's pipe",
     "doctor/large_messages.py": "a child's pipe",
@@ -45,7 +44,6 @@ PRINTS = {
     "pictures/confinement.py": "a trial's pipe",
     "pictures/look_command.py": "rows of pictures, cleaned by `decode_picture` and `clean`",
     "pictures/worker.py": "a child's pipe",
-    "playing/play_command.py": "a line of figures",
 }
 
 
@@ -91,6 +89,12 @@ def test_what_the_functions_print_is_clean(text: str, capsys: pytest.CaptureFixt
     assert clean_lines(err)
     assert json.loads(escape_json(json.dumps({text: text}, ensure_ascii=False))) == {text: text}
     assert clean_lines(escape_json(json.dumps(text, ensure_ascii=False)))
+    redraw_line(text)
+    clears = "\r\x1b[K"
+    out, _ = capsys.readouterr()
+    assert out.startswith(clears)
+    assert clean_lines(out.removeprefix(clears))
+    assert "\n" not in out
 
 
 def test_what_is_clean_is_left_as_it_is() -> None:

@@ -11,7 +11,7 @@ from rsb_console.command.ways import ways
 from rsb_console.library_internals.argparse_internals import actions_of, forget_default
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator, Mapping
 
 Complete: TypeAlias = "Callable[[argparse.Action, str], None]"
 KINDS = ("topic", "service", "action", "parameters")
@@ -119,12 +119,38 @@ def bridge_options(
         parser.add_argument("--json", action="store_true", help="print JSON, for programs")
 
 
+def side_options(parser: argparse.ArgumentParser, complete: Complete, what: str, such: str) -> None:
+    """Add the options that choose a side if several have `what`, or both sides have `such`."""
+    which = f"the client, if several have {what}"
+    complete(parser.add_argument("--link", default="", metavar="CLIENT", help=which), "links")
+    parser.add_argument("--here", action="store_true", help=f"the bridge's own side, if both have {such}")
+
+
 def inherit_bridge_options(parser: argparse.ArgumentParser) -> None:
     """Let the options of a command's own command be given to the command, too: without them, its values count."""
     for option in actions_of(parser):
         if option.dest in ("bridge", "control", "way", "json"):
             option.default = argparse.SUPPRESS
             forget_default(parser, option.dest)
+
+
+def bridge_commands(
+    parent: argparse.ArgumentParser, complete: Complete, module: str, commands: Mapping[str, str]
+) -> Iterator[tuple[str, argparse.ArgumentParser]]:
+    """Add commands for a running bridge to a command, and yield them with their names: each takes words of its own.
+
+    Args:
+        module: has the function that runs each, its name and ``_all``.
+        commands: what each does, by name.
+    """
+    bridge_options(parent, complete)
+    parsers = parent.add_subparsers(metavar="COMMAND", required=True)
+    for name, about in commands.items():
+        parser = parsers.add_parser(name, help=about, description=f"{about[0].upper()}{about[1:]}.")
+        parser.set_defaults(command=subcommand(f"{module}:{name}_all"), in_fleet=True)
+        bridge_options(parser, complete)
+        inherit_bridge_options(parser)
+        yield name, parser
 
 
 def named_bridge_options(parser: argparse.ArgumentParser, complete: Complete, *, json: bool = True) -> None:

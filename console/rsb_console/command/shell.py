@@ -58,10 +58,22 @@ def print_lines(text: str) -> None:
     _print(several_lines(text))
 
 
+def redraw_line(text: str) -> None:
+    """Write a text in place of the line at a terminal's cursor, as `print_line` does; an empty one clears it."""
+    _write(f"\r\x1b[K{_shown(one_line(text))}")
+    sys.stdout.flush()
+
+
 def _print(text: str) -> None:
-    if shows_ascii(sys.stdout):
-        text = to_ascii(text)
-    sys.stdout.write(encoded(f"{text}\n").decode(sys.stdout.encoding))
+    _write(f"{_shown(text)}\n")
+
+
+def _shown(text: str) -> str:
+    return to_ascii(text) if shows_ascii(sys.stdout) else text
+
+
+def _write(text: str) -> None:
+    sys.stdout.write(encoded(text).decode(sys.stdout.encoding))
 
 
 def encoded(text: str) -> bytes:

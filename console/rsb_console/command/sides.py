@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from rsb_bridge.api import EngineError
+from rsb_console.command.shell import print_error
 from rsb_console.command.target import UsageError
+from rsb_console.notation.side_answer import SideText, side_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from rsb_bridge.model.wording import Wording
     from rsb_console.notation.side_answer import SideAnswer
@@ -19,6 +22,24 @@ def table_lines(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> Itera
     widths = [max(map(len, column)) for column in zip(*table, strict=True)]
     for cells in table:
         yield "  ".join(f"{cell:<{width}}" for cell, width in zip(cells, widths, strict=True)).rstrip()
+
+
+def problems_of(sides: Iterable[SideAnswer], link: str = "") -> dict[str, str]:
+    """Return why nothing is known of some sides, by their links.
+
+    Raises:
+        EngineError: of the link that was asked for alone, nothing is known.
+    """
+    problems = {side.link: side.problem for side in sides if side.problem}
+    if link and link in problems:
+        raise EngineError(SideText.PROBLEM(side=link, problem=problems[link]))
+    return problems
+
+
+def print_problems(role: str, problems: Mapping[str, str]) -> None:
+    """Print what `problems_of` has returned, for people."""
+    for link, problem in problems.items():
+        print_error(SideText.PROBLEM(side=side_of(role, link), problem=problem))
 
 
 def chosen_side(

@@ -5,6 +5,11 @@ from __future__ import annotations
 from typing import Protocol
 
 from rsb_bridge.model.names import other_side
+from rsb_bridge.model.wording import Wording
+
+
+class SideText(Wording):
+    PROBLEM = "{side}: {problem}"
 
 
 class SideAnswer(Protocol):

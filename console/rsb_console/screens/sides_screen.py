@@ -10,7 +10,7 @@ from textual.screen import ModalScreen
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.wording import Wording
-from rsb_console.notation.side_answer import SideAnswer, side_of
+from rsb_console.notation.side_answer import SideAnswer, SideText, side_of
 from rsb_console.widgets.lines import FixedLines
 
 if TYPE_CHECKING:
@@ -29,7 +29,6 @@ _MOST_LINKS = 8
 class SidesText(Wording):
     ASKING = "asking both sides"
     NO_SESSION = "no session runs"
-    PROBLEM = "{side}: {problem}"
 
 
 class SidesScreen(ModalScreen[None], Generic[S]):
@@ -85,7 +84,7 @@ class SidesScreen(ModalScreen[None], Generic[S]):
         """Show the problems of the sides, or `none` if there are none and nothing is listed."""
         role = self.console.snapshot().role
         problems = [
-            ((SidesText.PROBLEM(side=side_of(role, side.link), problem=side.problem), "down"),)
+            ((SideText.PROBLEM(side=side_of(role, side.link), problem=side.problem), "down"),)
             for side in sides
             if side.problem
         ]

@@ -21,6 +21,9 @@ from rsb_console.feature_console import (
     json_line,
     print_error,
     print_line,
+    print_problems,
+    problems_of,
+    redraw_line,
     result,
     side_of,
     table_lines,
@@ -62,7 +65,6 @@ class CourierCommandText(Wording):
     EMPTY = "--to is before --from"
     NO_SPAN = "{name} does not say when it begins: leave out --from and --to"
     NONE = "neither side has recordings"
-    PROBLEM = "{side}: {problem}"
     BEGUN = "{name}: the bridge gets it; `rsb-console record list` tells how far it is"
     GOES_ON = "{name}: the bridge goes on; `rsb-console record cancel {name}` gives it up"
     DONE = "{messages:,} messages, {size} crossed: {path}"
@@ -106,21 +108,19 @@ def _list(arguments: Namespace) -> int:
         groups = engine.do(ListRecordings(link)).result(LISTED_WITHIN)
         fetches = result(engine.do(ListFetches(link)))
         role = engine.bridge.role
-    problems = [group for group in groups if group.problem]
+    problems = problems_of(groups)
     if link and problems:
-        raise EngineError(problems[0].problem)
+        raise EngineError(problems[link])
     if arguments.json:
         listed = [{"link": group.link} | _as_data(each) for group in groups for each in newest_first(group)]
-        texts = {group.link: group.problem for group in problems}
-        return done(arguments, recordings=listed, fetches=[asdict(each) for each in fetches], problems=texts)
+        return done(arguments, recordings=listed, fetches=[asdict(each) for each in fetches], problems=problems)
     rows = [(each.name, side_of(role, group.link), *texts_of(each)) for group in groups for each in newest_first(group)]
     for line in table_lines(HEADINGS, rows) if rows else ([] if problems else [CourierCommandText.NONE()]):
         print_line(line)
     for fetch in fetches:
         side = side_of(role, fetch.link)
         print_line(CourierCommandText.FETCH(name=fetch.name, side=side, text=fetch_text(fetch)))
-    for group in problems:
-        print_error(CourierCommandText.PROBLEM(side=side_of(role, group.link), problem=group.problem))
+    print_problems(role, problems)
     return OK
 
 
@@ -220,21 +220,16 @@ def _wait(engine: RemoteEngine, arguments: Namespace, name: str) -> int:
             if fetch.state in (FetchState.DONE, FetchState.FAILED):
                 break
             if has_bar:
-                _draw(bar_text(fetch))
+                redraw_line(bar_text(fetch))
             time.sleep(_EVERY)
     except KeyboardInterrupt:
         if has_bar:
-            _draw("")
+            redraw_line("")
         print_error(CourierCommandText.GOES_ON(name=name))
         raise
     if has_bar:
-        _draw("")
+        redraw_line("")
     return _tell(engine, arguments, fetch)
-
-
-def _draw(text: str) -> None:
-    sys.stdout.write(f"\r\x1b[K{text}")
-    sys.stdout.flush()
 
 
 def bar_text(fetch: FetchReport) -> str:

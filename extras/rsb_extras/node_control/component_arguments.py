@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rsb_console.feature_console import NO_BRIDGE, bridge_options, inherit_bridge_options, subcommand
+from rsb_console.feature_console import NO_BRIDGE, bridge_commands, side_options, subcommand
 
 if TYPE_CHECKING:
     from argparse import ArgumentParser
@@ -35,21 +35,14 @@ _COMMANDS = {
 
 def add_component(add: AddCommand, complete: Complete) -> None:
     summary = "list, load and unload components of either side's containers"
-    parent = add("component", subcommand("rsb_extras.node_control.component_command:list_all"), summary, _MORE)
-    bridge_options(parent, complete)
-    commands = parent.add_subparsers(metavar="COMMAND", required=True)
-    for name, about in _COMMANDS.items():
-        parser = commands.add_parser(name, help=about, description=f"{about[0].upper()}{about[1:]}.")
-        parser.set_defaults(command=subcommand(f"rsb_extras.node_control.component_command:{name}_all"), in_fleet=True)
-        bridge_options(parser, complete)
-        inherit_bridge_options(parser)
+    module = "rsb_extras.node_control.component_command"
+    parent = add("component", subcommand(f"{module}:list_all"), summary, _MORE)
+    for name, parser in bridge_commands(parent, complete, module, _COMMANDS):
         count = "?" if name == "list" else None
         container = parser.add_argument("node", metavar="CONTAINER", nargs=count, help="its full name")
         complete(container, "rsb_extras.node_control.target_names:containers")
         _add_words(parser, complete, name)
-        which = "the client, if several have the container"
-        complete(parser.add_argument("--link", default="", metavar="CLIENT", help=which), "links")
-        parser.add_argument("--here", action="store_true", help="the bridge's own side, if both have such a container")
+        side_options(parser, complete, "the container", "such a container")
         if name != "list":
             parser.add_argument("--yes", action="store_true", help="do not ask")
 

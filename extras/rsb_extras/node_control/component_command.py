@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from msgspec.structs import asdict
 
-from rsb_bridge.feature_api import EngineError, Wording
+from rsb_bridge.feature_api import Wording
 from rsb_console.feature_console import (
     FAILURE,
     UsageError,
@@ -17,6 +17,8 @@ from rsb_console.feature_console import (
     json_line,
     print_error,
     print_line,
+    print_problems,
+    problems_of,
     result,
     side_of,
     table_lines,
@@ -53,13 +55,10 @@ def list_all(arguments: Namespace) -> int:
         if wanted and not (arguments.link or arguments.here):
             _chosen(arguments, sides)
     shown = [(side, each) for side in sides for each in side.managed.containers if each.name in (wanted or [each.name])]
-    problems = {side.link: side.problem for side in sides if side.problem}
-    if arguments.link and problems:
-        raise EngineError(LifecycleText.PROBLEM(side=arguments.link, problem=problems[arguments.link]))
+    problems = problems_of(sides, arguments.link)
     rows = [row for side, each in shown for row in _rows(side_of(role, side.link), each)]
     if not arguments.json:
-        for link, problem in problems.items():
-            print_error(LifecycleText.PROBLEM(side=side_of(role, link), problem=problem))
+        print_problems(role, problems)
     lines = table_lines(("CONTAINER", "SIDE", "COMPONENT", ""), rows) if rows else [ComponentText.NONE()]
     containers = [{"link": side.link} | asdict(each) for side, each in shown]
     return done(arguments, *lines, containers=containers, problems=problems)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rsb_console.feature_console import NO_BRIDGE, KeyChapter, bridge_options, subcommand
+from rsb_console.feature_console import NO_BRIDGE, KeyChapter, bridge_options, side_options, subcommand
 from rsb_extras.node_control.change_records import LIFECYCLE_ACTIONS
 
 if TYPE_CHECKING:
@@ -53,8 +53,6 @@ def add_lifecycle(add: AddCommand, complete: Complete) -> None:
     parser.add_argument("action", nargs="?", choices=LIFECYCLE_ACTIONS, help=about)
     target = parser.add_argument("target", nargs="?", metavar="NODE", help="a node's full name, or a group's")
     complete(target, "rsb_extras.node_control.target_names:target_names")
-    which = "the client, if several have it"
-    complete(parser.add_argument("--link", default="", metavar="CLIENT", help=which), "links")
-    parser.add_argument("--here", action="store_true", help="the bridge's own side, if both have one of that name")
+    side_options(parser, complete, "it", "one of that name")
     parser.add_argument("--yes", action="store_true", help="do not ask")
     parser.set_defaults(in_fleet=True)

@@ -19,6 +19,8 @@ from rsb_console.feature_console import (
     json_line,
     print_error,
     print_line,
+    print_problems,
+    problems_of,
     result,
     side_of,
     table_lines,
@@ -57,18 +59,14 @@ def lifecycle(arguments: Namespace) -> int:
 
 def _list(engine: RemoteEngine, arguments: Namespace, sides: Sequence[ManagedSide]) -> int:
     role = engine.bridge.role
-    problems = [side for side in sides if side.problem]
-    if arguments.link and problems:
-        raise EngineError(LifecycleText.PROBLEM(side=arguments.link, problem=problems[0].problem))
+    problems = problems_of(sides, arguments.link)
     if arguments.json:
         nodes = [{"link": side.link} | asdict(each) for side in sides for each in side.managed.nodes]
         groups = [{"link": side.link} | asdict(each) for side in sides for each in side.managed.groups]
-        found = {side.link: side.problem for side in problems}
-        return done(arguments, nodes=nodes, groups=groups, problems=found)
+        return done(arguments, nodes=nodes, groups=groups, problems=problems)
     for line in _lines(role, sides):
         print_line(line)
-    for side in problems:
-        print_error(LifecycleText.PROBLEM(side=side_of(role, side.link), problem=side.problem))
+    print_problems(role, problems)
     return OK
 
 

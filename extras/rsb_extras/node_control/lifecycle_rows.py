@@ -31,7 +31,6 @@ class LifecycleText(Wording):
     NONE = "neither side has managed nodes or containers, or lists groups in its session file"
     ASK = "{action} {target} of {side}?"
     ENDED = "{target} of {side}: {text}"
-    PROBLEM = "{side}: {problem}"
     MAY_NOT = "no right"
     NO_ANSWER = "no answer"
     COMPONENT = "component"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rsb_console.feature_console import NO_BRIDGE, KeyChapter, bridge_options, inherit_bridge_options, subcommand
+from rsb_console.feature_console import NO_BRIDGE, KeyChapter, bridge_commands, side_options, subcommand
 from rsb_extras.node_control.parameter_types import PARAMETER_TYPES
 
 if TYPE_CHECKING:
@@ -53,20 +53,13 @@ CHAPTERS = (
 
 def add_param(add: AddCommand, complete: Complete) -> None:
     summary = "list, set, save and load the parameters of either side's nodes"
-    parent = add("param", subcommand("rsb_extras.node_control.param_command:list_all"), summary, _MORE)
-    bridge_options(parent, complete)
-    commands = parent.add_subparsers(metavar="COMMAND", required=True)
-    for name, about in _COMMANDS.items():
-        parser = commands.add_parser(name, help=about, description=f"{about[0].upper()}{about[1:]}.")
-        parser.set_defaults(command=subcommand(f"rsb_extras.node_control.param_command:{name}_all"), in_fleet=True)
-        bridge_options(parser, complete)
-        inherit_bridge_options(parser)
+    module = "rsb_extras.node_control.param_command"
+    parent = add("param", subcommand(f"{module}:list_all"), summary, _MORE)
+    for name, parser in bridge_commands(parent, complete, module, _COMMANDS):
         node = parser.add_argument("node", metavar="NODE", nargs="?" if name == "list" else None, help="its full name")
         complete(node, "rsb_extras.node_control.target_names:nodes_with_parameters")
         _add_words(parser, complete, name)
-        which = "the client, if several have the node"
-        complete(parser.add_argument("--link", default="", metavar="CLIENT", help=which), "links")
-        parser.add_argument("--here", action="store_true", help="the bridge's own side, if both have such a node")
+        side_options(parser, complete, "the node", "such a node")
         if name in ("set", "load"):
             parser.add_argument("--yes", action="store_true", help="do not ask")
 

@@ -24,6 +24,8 @@ from rsb_console.feature_console import (
     print_error,
     print_line,
     print_lines,
+    print_problems,
+    problems_of,
     read_parameter_file,
     result,
     shown_value,
@@ -91,9 +93,7 @@ def list_all(arguments: Namespace) -> int:
 
 def _list_nodes(arguments: Namespace, role: str, sides: Sequence[ParameterSide]) -> int:
     shown = [side for side in sides if not (arguments.here and side.link)]
-    problems = {side.link: side.problem for side in shown if side.problem}
-    if arguments.link and problems:
-        raise EngineError(LifecycleText.PROBLEM(side=arguments.link, problem=problems[arguments.link]))
+    problems = problems_of(shown, arguments.link)
     rows = [
         (each.name, side_of(role, side.link), "" if each.allowed else LifecycleText.MAY_NOT())
         for side in shown
@@ -102,8 +102,7 @@ def _list_nodes(arguments: Namespace, role: str, sides: Sequence[ParameterSide])
     nodes = [{"link": side.link} | asdict(each) for side in shown for each in side.nodes]
     lines = list(_table(("NAME", "SIDE", ""), rows)) if rows else [ParamText.NONE()]
     if not arguments.json:
-        for link, problem in problems.items():
-            print_error(LifecycleText.PROBLEM(side=side_of(role, link), problem=problem))
+        print_problems(role, problems)
     return done(arguments, *lines, nodes=nodes, problems=problems)
 
 

@@ -8,7 +8,17 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.feature_api import EngineError, RosError, escape_text, join_first
 from rsb_bridge.ros.node import RosNode
-from rsb_console.feature_console import FAILURE, INTERRUPTED, OK, UsageError, agreed, json_line, print_error, print_line
+from rsb_console.feature_console import (
+    FAILURE,
+    INTERRUPTED,
+    OK,
+    UsageError,
+    agreed,
+    json_line,
+    print_error,
+    print_line,
+    redraw_line,
+)
 from rsb_extras.playing.play_keys import play_keys
 from rsb_extras.playing.played_topics import PlayedPublishers, PlayText, check_number, choose
 from rsb_extras.playing.player import SECOND, Player, PlaySpan
@@ -149,13 +159,11 @@ class _Shown:
             at, all_of_it = ((each - self._span.begin) / SECOND for each in (state.position, self._span.end))
             what = "paused " if state.is_paused else "playing"
             heard = f"{state.messages:,} messages, {state.subscriptions} subscriptions"
-            sys.stdout.write(f"\r{what} {at:.1f} / {all_of_it:.1f} s  {heard}\x1b[K")
-            sys.stdout.flush()
+            redraw_line(f"{what} {at:.1f} / {all_of_it:.1f} s  {heard}")
 
     def end(self) -> None:
         if self._is_shown:
-            sys.stdout.write("\r\x1b[K")
-            sys.stdout.flush()
+            redraw_line("")
 
 
 def _result(

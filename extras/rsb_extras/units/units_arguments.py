@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rsb_console.feature_console import NO_BRIDGE, KeyChapter, bridge_options, subcommand
+from rsb_console.feature_console import NO_BRIDGE, KeyChapter, bridge_options, side_options, subcommand
 from rsb_extras.units.unit_records import ACTIONS
 
 if TYPE_CHECKING:
@@ -37,8 +37,6 @@ def add_units(add: AddCommand, complete: Complete) -> None:
     units.add_argument("action", nargs="?", choices=ACTIONS, help="the action; without it, all units are listed")
     unit = units.add_argument("unit", nargs="?", metavar="UNIT", help="the unit's name")
     complete(unit, "rsb_extras.units.unit_names:unit_names")
-    which = "the client, if several have units"
-    complete(units.add_argument("--link", default="", metavar="CLIENT", help=which), "links")
-    units.add_argument("--here", action="store_true", help="the bridge's own side, if both have a unit of that name")
+    side_options(units, complete, "units", "a unit of that name")
     units.add_argument("--yes", action="store_true", help="do not ask")
     units.set_defaults(in_fleet=True)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from msgspec.structs import asdict
 
-from rsb_bridge.feature_api import EngineError, Wording
+from rsb_bridge.feature_api import Wording
 from rsb_console.feature_console import (
     FAILURE,
     OK,
@@ -18,6 +18,8 @@ from rsb_console.feature_console import (
     json_line,
     print_error,
     print_line,
+    print_problems,
+    problems_of,
     result,
     side_of,
     table_lines,
@@ -45,7 +47,6 @@ class UnitsCommandText(Wording):
     NONE = "neither side lists units in its session file"
     ASK = "{action} unit {name} of {side}?"
     ENDED = "unit {name} of {side}: {text}"
-    PROBLEM = "{side}: {problem}"
 
 
 def state_text(unit: UnitRecord) -> str:
@@ -75,16 +76,13 @@ def units(arguments: Namespace) -> int:
 
 def _list(engine: RemoteEngine, arguments: Namespace, groups: Sequence[UnitGroup]) -> int:
     role = engine.bridge.role
-    problems = [group for group in groups if group.problem]
-    if arguments.link and problems:
-        raise EngineError(UnitsCommandText.PROBLEM(side=arguments.link, problem=problems[0].problem))
+    problems = problems_of(groups, arguments.link)
     if arguments.json:
         listed = [{"link": group.link} | asdict(unit) for group in groups for unit in group.units]
-        return done(arguments, units=listed, problems={group.link: group.problem for group in problems})
+        return done(arguments, units=listed, problems=problems)
     for line in _lines(role, groups):
         print_line(line)
-    for group in problems:
-        print_error(UnitsCommandText.PROBLEM(side=side_of(role, group.link), problem=group.problem))
+    print_problems(role, problems)
     return OK
 
 
