@@ -24,9 +24,9 @@ from rsb_extras.courier.courier_records import (
     ListedRecording,
     ListedTopic,
 )
-from rsb_extras.recording.keep_last import RECORDINGS
+from rsb_extras.recording.keep_last import FETCHED, RECORDINGS
 from rsb_extras.recording.reading.open_recording import OpenRecording, RecordingSummary
-from rsb_extras.recording.reading.recording_files import files_of
+from rsb_extras.recording.reading.recording_files import SUFFIXES, files_of
 from rsb_extras.recording.reading.stored_message import RecordingError
 
 if TYPE_CHECKING:
@@ -34,8 +34,6 @@ if TYPE_CHECKING:
 
     from rsb_bridge.feature_api import Context, Rights
 
-FETCHED = "fetched"
-"""The folder of recordings that came from the other side, in that of this side's own. No peer gets them from here."""
 _MOST_FILES = 4096  # of a recording. A round figure: 4 TB in files of 1 GB
 _MOST_NAMES = 10_000  # of a folder that are looked at. A round figure
 _HEAD = 4096  # bytes of a file that its stamp is made of, beside size and time
@@ -46,7 +44,6 @@ _QUICK, _QUIET_FOR = 1.0, 60.0
 """s that reading one may take each time it has changed; s without a change after which one that takes longer is read
 again: a file that is being written has no index, and a peer may ask each second. Round figures."""
 _REMEMBERED = 2 * MOST_RECORDINGS
-_SUFFIXES = (".mcap", ".db3")
 
 
 class KeptProblem(Wording):
@@ -123,7 +120,7 @@ class KeptRecordings:
 
     Attributes:
         recorded: the folder of the bridge's own recordings.
-        fetched: the folder of those from the other side.
+        fetched: the folder of those from the other side, which no peer gets from here.
     """
 
     def __init__(self, context: Context) -> None:
@@ -230,7 +227,7 @@ def _kept(folder: Path, name: str) -> Kept | None:
     path = folder / name
     try:
         status = path.lstat()
-        is_one = stat.S_ISDIR(status.st_mode) or (stat.S_ISREG(status.st_mode) and name.endswith(_SUFFIXES))
+        is_one = stat.S_ISDIR(status.st_mode) or (stat.S_ISREG(status.st_mode) and name.endswith(SUFFIXES))
         marks = _marks(path) if is_one else ()
         stamp = hashlib.sha256(repr(marks).encode())
         for mark in marks:

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 from rsb_bridge.config.state_folder import searched_folders
 from rsb_console.feature_console import LookOption
-from rsb_extras.recording.keep_last import RECORDINGS
+from rsb_extras.recording.keep_last import FETCHED, RECORDINGS
 from rsb_extras.recording.reading.open_recording import OpenRecording
+from rsb_extras.recording.reading.recording_files import SUFFIXES
 from rsb_extras.recording.reading.stored_message import RecordingError
 
 if TYPE_CHECKING:
@@ -28,11 +29,13 @@ _LISTED = 20  # of the newest ones. A round figure: they come behind all topics
 def recordings_here(environ: Mapping[str, str]) -> list[Path]:
     """Return files and folders of recordings in the folders of bridges, newest first."""
     found: dict[Path, float] = {}
-    for folder in searched_folders(environ):
+    for folder in (each / RECORDINGS / part for each in searched_folders(environ) for part in ("", FETCHED)):
         with suppress(OSError):  # it is not there, or another user's
-            for path in (folder / RECORDINGS).iterdir():
+            for path in folder.iterdir():
+                if path.name.startswith(".") or path.name == FETCHED:
+                    continue
                 with suppress(OSError):  # it is gone by now
-                    if not path.name.startswith(".") and (path.suffix in (".mcap", ".db3") or path.is_dir()):
+                    if path.suffix in SUFFIXES or path.is_dir():
                         found[path] = path.stat().st_mtime
     return sorted(found, key=lambda path: -found[path])[:_LISTED]
 

@@ -196,6 +196,15 @@ def test_link_that_leads_nowhere_hides_no_recording(tmp_path: Path) -> None:
     assert recordings_here({"STATE_DIRECTORY": str(tmp_path)})[:1] == [folder / "stretch.mcap"]
 
 
+def test_what_was_fetched_is_listed_and_not_its_folder(tmp_path: Path) -> None:
+    fetched = tmp_path / "recordings" / "fetched"
+    fetched.mkdir(parents=True)
+    for name in ("robot1-noon.mcap", "robot2-noon.mcap"):
+        (fetched / name).touch()
+    found = recordings_here({"STATE_DIRECTORY": str(tmp_path)})
+    assert {*found} == {fetched / "robot1-noon.mcap", fetched / "robot2-noon.mcap"}
+
+
 @on_main(WIDE)
 async def test_recordings_of_one_name_are_told_apart(
     app: Any, pilot: Any, path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

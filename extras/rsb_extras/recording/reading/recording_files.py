@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 
     from rsb_extras.recording.reading.stored_message import StoredChannel, StoredMessage
 
+SUFFIXES = ".mcap", ".db3"
+"""Of the files of recordings."""
 _NUMBER = re.compile(r"(.+)_\d+(\.mcap|\.db3)")  # of the files of a split bag
 
 
@@ -49,7 +51,7 @@ def files_of(path: Path) -> list[Path]:
         raise RecordingError(UnreadableRecording.NOT_THERE(path=path, reason=error.strerror)) from None
     if any(name.endswith((".mcap.zstd", ".db3.zstd")) for name in names):
         raise RecordingError(UnreadableRecording.COMPRESSED(path=path))
-    found = [name for name in names if name.endswith((".mcap", ".db3"))]
+    found = [name for name in names if name.endswith(SUFFIXES)]
     if not found:
         raise RecordingError(UnreadableRecording.NONE_WITHIN(path=path))
     numbered = {name: _NUMBER.fullmatch(name) for name in found}
