@@ -12,7 +12,7 @@ from rsb_bridge.feature import late_names
 
 if TYPE_CHECKING:
     from rsb_bridge.api import EngineApi, EngineError, Unable
-    from rsb_bridge.config.files import file_stem, make_folder, replace_file, typed_path, why_not_written
+    from rsb_bridge.config.files import file_stem, make_folder, replace_file, sync_folder, typed_path, why_not_written
     from rsb_bridge.config.programs import program_path, program_problem, program_warnings
     from rsb_bridge.config.rights import DeniedUse, Rights
     from rsb_bridge.config.session_file import SessionError, load
@@ -62,7 +62,14 @@ if TYPE_CHECKING:
 
 _NAMES = {
     "rsb_bridge.api": ("EngineApi", "EngineError", "Unable"),
-    "rsb_bridge.config.files": ("file_stem", "make_folder", "replace_file", "typed_path", "why_not_written"),
+    "rsb_bridge.config.files": (
+        "file_stem",
+        "make_folder",
+        "replace_file",
+        "sync_folder",
+        "typed_path",
+        "why_not_written",
+    ),
     "rsb_bridge.config.programs": ("program_path", "program_problem", "program_warnings"),
     "rsb_bridge.config.rights": ("DeniedUse", "Rights"),
     "rsb_bridge.config.session_file": ("SessionError", "load"),

@@ -168,9 +168,14 @@ def _replace_file(path: Path, content: bytes, like: Path | None, mode: int, owne
         with suppress(FileNotFoundError):
             Path(name).unlink()
         raise
-    handle = os.open(target.parent, os.O_RDONLY | os.O_DIRECTORY)
+    sync_folder(target.parent)
+
+
+def sync_folder(folder: Path) -> None:
+    """Have the names of new and renamed files survive a power cut; raises OSError."""
+    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
-        os.fsync(handle)  # so that the rename survives a power cut
+        os.fsync(handle)
     finally:
         os.close(handle)
 

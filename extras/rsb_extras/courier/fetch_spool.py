@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import os
 import shutil
 import threading
 from itertools import count, islice
@@ -148,8 +147,7 @@ class FetchSpool:
 
     def _check_room(self, wanted: int = 0) -> None:
         """Raise OSError if so many bytes leave less than has to stay free."""
-        found = os.statvfs(self.folder)
-        if found.f_bavail * found.f_frsize < _LEFT_FREE + wanted:
+        if shutil.disk_usage(self.folder).free < _LEFT_FREE + wanted:
             problem = SpoolProblem.DISK_FULL(folder=self.folder.parent, least=(_LEFT_FREE + wanted) / 1e9)
             raise OSError(errno.ENOSPC, problem)
 

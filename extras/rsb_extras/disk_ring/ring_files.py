@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import errno
-import os
 import re
+import shutil
 from collections import deque
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -213,8 +213,7 @@ class RingFiles:
             raise OSError(errno.EPERM, RingText.NO_SPACE(free=self._limits.free))
 
     def _lacks_space(self) -> bool:
-        found = os.statvfs(self.folder)
-        return found.f_bavail * found.f_frsize < self._limits.free * GB
+        return shutil.disk_usage(self.folder).free < self._limits.free * GB
 
     def look_after(self, lost: int) -> None:
         """Do what time brings.

@@ -8,7 +8,9 @@ from typing import IO, TYPE_CHECKING, Any, NamedTuple
 
 from rsb_bridge.cdr.description import DescriptionError
 from rsb_bridge.config.files import owner_only, remove_file, whole_file
+from rsb_bridge.feature_api import sync_folder
 from rsb_extras.recording.mcap_file import McapFile
+from rsb_extras.recording.reading.mcap_records import MCAP_MAGIC
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -18,8 +20,6 @@ if TYPE_CHECKING:
     from rsb_extras.recording.message_ring import RingMessage
 
 SUFFIX = ".mcap"
-_MAGIC = b"\x89MCAP0\r\n"
-"""The first and the last bytes of an MCAP file."""
 _LONGEST_RECORD = 1 << 30
 """Bytes. A round figure: what a cut file says of its own lengths is not believed."""
 
@@ -101,22 +101,13 @@ class OpenSegment:
             self._file.close()
 
 
-def sync_folder(folder: Path) -> None:
-    """Have the names of new files survive a power cut."""
-    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
-
-
 def is_whole(path: Path) -> bool:
     """Whether a segment has its end."""
     with path.open("rb") as file:
-        if file.seek(0, os.SEEK_END) < 2 * len(_MAGIC):
+        if file.seek(0, os.SEEK_END) < 2 * len(MCAP_MAGIC):
             return False
-        file.seek(-len(_MAGIC), os.SEEK_END)
-        return file.read() == _MAGIC
+        file.seek(-len(MCAP_MAGIC), os.SEEK_END)
+        return file.read() == MCAP_MAGIC
 
 
 class Completed(NamedTuple):

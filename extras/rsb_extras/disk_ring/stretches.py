@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
 import msgspec
 
 from rsb_bridge.config.files import UNFINISHED, stat_of
-from rsb_bridge.feature_api import make_folder, replace_file
+from rsb_bridge.feature_api import make_folder, replace_file, sync_folder
 from rsb_extras.disk_ring.bag_metadata import NAME, BagFigures, bag_metadata
-from rsb_extras.disk_ring.segments import SUFFIX, sync_folder
+from rsb_extras.disk_ring.segments import SUFFIX
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
