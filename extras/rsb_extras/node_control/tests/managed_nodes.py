@@ -4,14 +4,24 @@ from __future__ import annotations
 
 import gc
 import threading
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
+from tests.support.bridge import linked
 from tests.support.spun import Spun
+from tests.support.waiting import eventually
 
 from rsb_bridge.feature import MAY
 from rsb_bridge.model.session import session_keys
 from rsb_extras.node_control import GROUPS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from tests.support.bridge import Bridge
+
+    from rsb_bridge.engine import Engine
+    from rsb_bridge.model.session import Topic
 
 
 class _Robust(LifecycleNode):  # type: ignore[misc]  # rclpy has no types
@@ -76,6 +86,16 @@ class ManagedNodes:
                 delattr(node, name)
         self._spun = {}
         gc.collect()
+
+
+def linked_sides(
+    bridge: Bridge, features: dict[str, Any], topics: Iterable[Topic] = (), **others: Any
+) -> tuple[Engine, Engine]:
+    """Return the control PC and the robot, which has these features, once they are linked."""
+    robot = bridge.client(*topics, features=features, **others)
+    pc = bridge.server(**others)
+    eventually(lambda: linked(pc) and linked(robot), what="linked")
+    return pc, robot
 
 
 def has(*may: str, **groups: tuple[str, ...]) -> dict[str, Any]:

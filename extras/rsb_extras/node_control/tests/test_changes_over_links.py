@@ -17,7 +17,7 @@ from rsb_bridge.model.snapshot import Level
 from rsb_extras.node_control.change_records import ChangeOutcome, Managed
 from rsb_extras.node_control.change_requests import ChangeNodes, ListManaged
 from rsb_extras.node_control.node_changer import STARTS, ChangeCode
-from rsb_extras.node_control.tests.managed_nodes import ManagedNodes, has
+from rsb_extras.node_control.tests.managed_nodes import ManagedNodes, has, linked_sides
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -42,10 +42,7 @@ def nodes(robot: Domain) -> Iterator[ManagedNodes]:
 
 def two_sides(bridge: Bridge, *may: str, **others: Any) -> tuple[Engine, Engine]:
     """Return the control PC, and the robot that lets it have some nodes changed."""
-    robot = bridge.client(*others.pop("topics", ()), features=has(*may, nav=NAV), **others)
-    pc = bridge.server(**others)
-    eventually(lambda: linked(pc) and linked(robot), what="linked")
-    return pc, robot
+    return linked_sides(bridge, has(*may, nav=NAV), **others)
 
 
 def managed(engine: Engine, link: str = "robot1") -> Managed:

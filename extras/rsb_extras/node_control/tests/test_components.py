@@ -6,7 +6,7 @@ from contextlib import closing
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.support.bridge import connections, happened, linked
+from tests.support.bridge import connections, happened
 from tests.support.waiting import eventually
 
 from rsb_bridge.model.session import Topic
@@ -17,7 +17,7 @@ from rsb_extras.node_control.change_requests import ChangeNodes, ListManaged
 from rsb_extras.node_control.component_messages import read_components
 from rsb_extras.node_control.node_changer import ChangeCode
 from rsb_extras.node_control.tests.container_types import type_hash
-from rsb_extras.node_control.tests.managed_nodes import has
+from rsb_extras.node_control.tests.managed_nodes import has, linked_sides
 from rsb_extras.node_control.tests.standin_container import NAME, Asked, StandInContainer
 
 if TYPE_CHECKING:
@@ -49,10 +49,7 @@ def container(robot: Domain) -> Iterator[StandInContainer]:
 
 
 def two_sides(bridge: Bridge, *may: str, **others: Any) -> tuple[Engine, Engine]:
-    features = has(*may) | others.pop("features", {})
-    robot = bridge.client(*others.pop("topics", ()), features=features, **others)
-    pc = bridge.server(**others)
-    eventually(lambda: linked(pc) and linked(robot), what="linked")
+    pc, robot = linked_sides(bridge, has(*may) | others.pop("features", {}), **others)
     eventually(lambda: containers(robot, here=True) == ["/planner_server"], what="the container's services")
     return pc, robot
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from rclpy.parameter import Parameter
-from tests.support.bridge import happened, linked
+from tests.support.bridge import happened
 from tests.support.waiting import eventually
 
 from rsb_bridge.api import EngineError
@@ -25,7 +25,7 @@ from rsb_extras.node_control.parameter_records import (
 )
 from rsb_extras.node_control.parameter_requests import ListParameterNodes, ReadParameters
 from rsb_extras.node_control.parameter_rules import ParameterChange
-from rsb_extras.node_control.tests.managed_nodes import has
+from rsb_extras.node_control.tests.managed_nodes import has, linked_sides
 from rsb_extras.node_control.tests.tuned_node import LARGE, VALUES, TunedNode
 
 if TYPE_CHECKING:
@@ -49,10 +49,7 @@ def node(robot: Domain) -> Iterator[TunedNode]:
 
 def two_sides(bridge: Bridge, *may: str, **others: Any) -> tuple[Engine, Engine]:
     """Return the control PC, and the robot that lets it have some nodes changed."""
-    features = has(*may) | others.pop("features", {})
-    robot = bridge.client(*others.pop("topics", ()), features=features, **others)
-    pc = bridge.server(**others)
-    eventually(lambda: linked(pc) and linked(robot), what="linked")
+    pc, robot = linked_sides(bridge, has(*may) | others.pop("features", {}), **others)
     eventually(lambda: NODE in own_nodes(robot), what="the node's services")
     return pc, robot
 
