@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections import Counter
 from typing import TYPE_CHECKING
 
-from rsb_bridge.feature_api import RosError, Wording, join_first, sanitize_text
+from rsb_bridge.feature_api import Wording, join_first, sanitize_text
 from rsb_extras.node_control.cdr_fields import MalformedAnswerError
 from rsb_extras.node_control.change_records import MOST_CONTAINERS, NODE_NAME, ChangeStep, Container
 from rsb_extras.node_control.component_messages import (
@@ -23,7 +22,7 @@ from rsb_extras.node_control.component_messages import (
     unload_request,
 )
 from rsb_extras.node_control.lifecycle_messages import NO_FIELDS
-from rsb_extras.node_control.node_services import NodeSilentError
+from rsb_extras.node_control.node_services import NodeSilentError, nodes_serving
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -53,12 +52,7 @@ class ComponentProblem(Wording):
 
 async def container_names(context: Context) -> tuple[str, ...]:
     """Return the names of containers, sorted."""
-    try:
-        services = await asyncio.to_thread(context.ros.services)
-    except RosError:
-        return ()
-    found = (name.removesuffix(LIST) for name, types in services.items() if name.endswith(LIST) and LIST_TYPE in types)
-    return tuple(sorted(name for name in found if NODE_NAME.fullmatch(name)))[:MOST_CONTAINERS]
+    return await nodes_serving(context, LIST, LIST_TYPE, MOST_CONTAINERS)
 
 
 async def listed_container(services: NodeServices, name: str) -> Container:

@@ -5,12 +5,11 @@ from __future__ import annotations
 import asyncio
 from typing import TYPE_CHECKING, NamedTuple
 
-from rsb_bridge.feature_api import RosError, Wording
+from rsb_bridge.feature_api import Wording
 from rsb_extras.node_control.cdr_fields import MalformedAnswerError
 from rsb_extras.node_control.change_records import (
     GOALS,
     MOST_MANAGED,
-    NODE_NAME,
     ChangeStep,
     LifecycleAction,
     ManagedNode,
@@ -29,7 +28,7 @@ from rsb_extras.node_control.lifecycle_messages import (
     read_state,
     read_success,
 )
-from rsb_extras.node_control.node_services import NodeSilentError
+from rsb_extras.node_control.node_services import NodeSilentError, nodes_serving
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -81,18 +80,7 @@ def phases(action: LifecycleAction, nodes: Sequence[str]) -> list[tuple[Transiti
 
 async def managed_names(context: Context) -> tuple[str, ...]:
     """Return the names of nodes with a lifecycle, sorted."""
-    try:
-        services = await asyncio.to_thread(context.ros.services)
-    except RosError:
-        return ()
-    found = (
-        name.removesuffix(GET_STATE)
-        for name, types in services.items()
-        if name.endswith(GET_STATE) and GET_STATE_TYPE in types
-    )
-    # A DDS program without ROS may have any name: the other side would take it for a broken message.
-    names = (name for name in found if name + CHANGE_STATE in services and NODE_NAME.fullmatch(name))
-    return tuple(sorted(names))[:MOST_MANAGED]
+    return await nodes_serving(context, GET_STATE, GET_STATE_TYPE, MOST_MANAGED, also=CHANGE_STATE)
 
 
 async def look_at(services: NodeServices, node: str, within: float = _LOOK_WITHIN) -> LifecycleLook:

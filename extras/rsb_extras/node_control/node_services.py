@@ -8,6 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from rsb_bridge.feature_api import RosError, Wording
+from rsb_extras.node_control.change_records import NODE_NAME
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -19,6 +20,27 @@ _KEPT_FOR = 10.0
 """s for which an unused client is kept: each is announced in the whole domain. A round figure."""
 _LOOK_EVERY, _LOOK_AGAIN = 0.02, 0.2
 """s between two looks whether a client has met its server, and whether that is the only one. Round figures."""
+
+
+async def nodes_serving(
+    context: Context, service: str, type_name: str, most: int, *, also: str = ""
+) -> tuple[str, ...]:
+    """Return the names of the nodes of this side's domain that have a service, sorted, at most so many.
+
+    Args:
+        service: ``/get_state``, behind a node's name.
+        also: another service that they must have, or empty.
+    """
+    try:
+        services = await asyncio.to_thread(context.ros.services)
+    except RosError:
+        return ()
+    found = (
+        name.removesuffix(service) for name, types in services.items() if name.endswith(service) and type_name in types
+    )
+    # A DDS program without ROS may have any name: the other side would take it for a broken message.
+    names = (name for name in found if NODE_NAME.fullmatch(name) and (not also or name + also in services))
+    return tuple(sorted(names))[:most]
 
 
 class NodeServiceProblem(Wording):

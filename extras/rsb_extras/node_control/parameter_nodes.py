@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, TypeVar
 
 import msgspec
 
-from rsb_bridge.feature_api import LinkError, RosError, join_first, sanitize_text
+from rsb_bridge.feature_api import LinkError, join_first, sanitize_text
 from rsb_extras.node_control.cdr_fields import MalformedAnswerError
-from rsb_extras.node_control.change_records import NODE_NAME, ChangeStep
-from rsb_extras.node_control.node_services import NodeSilentError
+from rsb_extras.node_control.change_records import ChangeStep
+from rsb_extras.node_control.node_services import NodeSilentError, nodes_serving
 from rsb_extras.node_control.parameter_messages import (
     ALL_NAMES,
     DESCRIBE,
@@ -64,12 +64,7 @@ _NAMED = 3  # names of parameters in a line
 
 async def nodes_with_parameters(context: Context) -> tuple[str, ...]:
     """Return the names of nodes with parameters, sorted."""
-    try:
-        services = await asyncio.to_thread(context.ros.services)
-    except RosError:
-        return ()
-    found = (name.removesuffix(LIST) for name, types in services.items() if name.endswith(LIST) and LIST_TYPE in types)
-    return tuple(sorted(name for name in found if NODE_NAME.fullmatch(name)))[:MOST_NODES]
+    return await nodes_serving(context, LIST, LIST_TYPE, MOST_NODES)
 
 
 async def page_of(services: NodeServices, ask: AskParameters) -> ParametersAnswer:
