@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from typing import TYPE_CHECKING, ClassVar, Generic, TypeVar
 
+from textual import work
 from textual.binding import Binding
 from textual.screen import ModalScreen
 
@@ -61,13 +62,14 @@ class SidesScreen(ModalScreen[None], Generic[S]):
     def on_mount(self) -> None:
         self.problems.put([((SidesText.ASKING(), "dim"),)])
         self.set_interval(self.EVERY, self.renew)
-        self._fetching = self.run_worker(self._fetch(), group="sides")
+        self._fetching = self._fetch()
 
     def renew(self) -> None:
         """Ask again, unless an answer is still due, perhaps over a thin line."""
         if self._fetching.is_finished:
-            self._fetching = self.run_worker(self._fetch(), group="sides")
+            self._fetching = self._fetch()
 
+    @work(group="sides")
     async def _fetch(self) -> None:
         engine = self.console.engine
         if engine is None:

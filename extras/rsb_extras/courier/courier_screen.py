@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
+from textual import work
 from textual.binding import Binding
 
 from rsb_bridge.feature_api import Effect, EngineError, Wording, join_first
@@ -127,10 +128,8 @@ class RecordingsScreen(SidesScreen["RecordingGroup"]):
         found = [each for each in self._fetches if link and (each.link, each.recording) == (link, name)]
         return found[-1] if found else None
 
-    def _renew_fetches(self) -> None:
-        self.run_worker(self._ask_fetches(), group="fetches", exclusive=True)
-
-    async def _ask_fetches(self) -> None:
+    @work(group="fetches", exclusive=True)
+    async def _renew_fetches(self) -> None:
         if (engine := self.console.engine) is None:
             return
         try:
@@ -153,8 +152,9 @@ class RecordingsScreen(SidesScreen["RecordingGroup"]):
         if not row.link:
             self.warn(RecordingsScreenText.HERE(name=row.recording.name))
         else:
-            self.run_worker(self._get(row), group=DIALOG)
+            self._get(row)
 
+    @work(group=DIALOG)
     async def _get(self, row: RecordingRow) -> None:
         if (engine := self.console.engine) is None:
             return
@@ -173,8 +173,9 @@ class RecordingsScreen(SidesScreen["RecordingGroup"]):
         if row.fetch is None or row.fetch.state in (FetchState.DONE, FetchState.FAILED):
             self.warn(RecordingsScreenText.NO_FETCH(name=row.recording.name))
         else:
-            self.run_worker(self._give_up(row.fetch), group=DIALOG)
+            self._give_up(row.fetch)
 
+    @work(group=DIALOG)
     async def _give_up(self, fetch: FetchReport) -> None:
         title, means = RecordingsScreenText.ASK(name=fetch.name), RecordingsScreenText.MEANS()
         question = ConfirmScreen(title, means, RecordingsScreenText.GIVE_UP(), Effect.LOSES)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 from rich.cells import cell_len
+from textual import work
 from textual.binding import Binding
 
 from rsb_bridge.feature_api import EngineError, State, Wording, why_not_written
@@ -201,9 +202,9 @@ class HistoryScreen(FilteredScreen[None]):
             self._ask()
 
     def _ask(self) -> None:
-        # Exclusive: an answer about the span before must not come behind the one about the present span.
-        self._fetching = self.run_worker(self._fetch(), exclusive=True, group="history")
+        self._fetching = self._fetch()
 
+    @work(exclusive=True, group="history")  # no answer about the span before comes behind one about the present span
     async def _fetch(self) -> None:
         """Request the report from the engine, which may run in another process."""
         engine = self.console.engine

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.feature_api import Wording
@@ -28,7 +27,7 @@ from rsb_extras.node_control.lifecycle_messages import (
     read_state,
     read_success,
 )
-from rsb_extras.node_control.node_services import NodeSilentError, nodes_serving
+from rsb_extras.node_control.node_services import NodeSilentError, both, nodes_serving
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -85,7 +84,7 @@ async def managed_names(context: Context) -> tuple[str, ...]:
 
 async def look_at(services: NodeServices, node: str, within: float = _LOOK_WITHIN) -> LifecycleLook:
     """Return a node's state, and what it offers; raise `NodeSilentError`."""
-    state, offers = await asyncio.gather(
+    state, offers = await both(
         services.call(node, GET_STATE, GET_STATE_TYPE, NO_FIELDS, within),
         services.call(node, GET_OFFERS, GET_OFFERS_TYPE, NO_FIELDS, within),
     )

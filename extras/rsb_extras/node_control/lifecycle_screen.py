@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from typing import TYPE_CHECKING, ClassVar
 
+from textual import work
 from textual.binding import Binding
 
 from rsb_bridge.feature_api import Effect, EngineError, Wording
@@ -142,7 +143,7 @@ class LifecycleScreen(SidesScreen["ManagedSide"]):
             offers = ", ".join(row.actions) or "nothing"
             self.warn(LifecycleScreenText.NOT_OFFERED(name=row.name, state=row.state, offers=offers))
         else:
-            self.run_worker(self._ask(row, action), group=DIALOG)
+            self._ask(row, action)
 
     def _why_not(self, row: LifecycleRow, name: str, *, allowed: bool) -> str:
         """Return the reason why a row cannot be changed now, by the right to a node, or an empty string."""
@@ -168,8 +169,9 @@ class LifecycleScreen(SidesScreen["ManagedSide"]):
         elif problem := self._why_not(row, row.container, allowed=row.may_load):
             self.warn(problem)
         else:
-            self.run_worker((self._load if action == "load" else self._unload)(row), group=DIALOG)
+            (self._load if action == "load" else self._unload)(row)
 
+    @work(group=DIALOG)
     async def _load(self, row: LifecycleRow) -> None:
         loaded = await self.console.ask(ComponentForm(row.name))
         if loaded is None:
@@ -179,12 +181,14 @@ class LifecycleScreen(SidesScreen["ManagedSide"]):
         command = ChangeNodes(row.name, "load", row.link, values, component)
         await self._confirm(title, LifecycleScreenText.LOADS(), row, command)
 
+    @work(group=DIALOG)
     async def _unload(self, row: LifecycleRow) -> None:
         title = LifecycleScreenText.UNLOAD(name=row.name, side=row.side)
         means = LifecycleScreenText.UNLOADS(container=row.container)
         command = ChangeNodes(row.container, "unload", row.link, component=Component(name=row.name))
         await self._confirm(title, means, row, command)
 
+    @work(group=DIALOG)
     async def _ask(self, row: LifecycleRow, action: LifecycleAction) -> None:
         title = LifecycleText.ASK(action=action.capitalize(), target=row.name, side=row.side)
         text = LifecycleScreenText.RISES if action in ("up", "configure", "activate") else LifecycleScreenText.FALLS

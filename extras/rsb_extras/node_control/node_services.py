@@ -5,16 +5,19 @@ from __future__ import annotations
 import asyncio
 from dataclasses import dataclass, field
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from rsb_bridge.feature_api import RosError, Wording
 from rsb_extras.node_control.change_records import NODE_NAME
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Awaitable, Sequence
 
     from rsb_bridge.feature_api import Context, Endpoint
     from rsb_bridge.ros.ros_interface import Response, ServiceClient
+
+A = TypeVar("A")
+B = TypeVar("B")
 
 _KEPT_FOR = 10.0
 """s for which an unused client is kept: each is announced in the whole domain. A round figure."""
@@ -41,6 +44,16 @@ async def nodes_serving(
     # A DDS program without ROS may have any name: the other side would take it for a broken message.
     names = (name for name in found if NODE_NAME.fullmatch(name) and (not also or name + also in services))
     return tuple(sorted(names))[:most]
+
+
+async def both(first: Awaitable[A], second: Awaitable[B]) -> tuple[A, B]:
+    """Await two calls at once. If both fail, the first's error is raised: which is known first is chance."""
+    one, other = await asyncio.gather(first, second, return_exceptions=True)
+    if isinstance(one, BaseException):
+        raise one
+    if isinstance(other, BaseException):
+        raise other
+    return one, other
 
 
 class NodeServiceProblem(Wording):

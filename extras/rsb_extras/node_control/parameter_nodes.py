@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from typing import TYPE_CHECKING, TypeVar
 
 import msgspec
@@ -10,7 +9,7 @@ import msgspec
 from rsb_bridge.feature_api import LinkError, join_first, sanitize_text
 from rsb_extras.node_control.cdr_fields import MalformedAnswerError
 from rsb_extras.node_control.change_records import ChangeStep
-from rsb_extras.node_control.node_services import NodeSilentError, nodes_serving
+from rsb_extras.node_control.node_services import NodeSilentError, both, nodes_serving
 from rsb_extras.node_control.parameter_messages import (
     ALL_NAMES,
     DESCRIBE,
@@ -73,7 +72,7 @@ async def page_of(services: NodeServices, ask: AskParameters) -> ParametersAnswe
     try:
         all_names = read_names(await services.call(node, LIST, LIST_TYPE, ALL_NAMES, _READ_WITHIN))
         names = [each for each in all_names if each > ask.after and (not ask.names or each in ask.names)]
-        described, values = await asyncio.gather(
+        described, values = await both(
             _of_each(services, node, names[:MOST_IN_PAGE], DESCRIBE, DESCRIBE_TYPE, read_descriptors),
             _of_each(services, node, names[:MOST_IN_PAGE], GET, GET_TYPE, read_values),
         )

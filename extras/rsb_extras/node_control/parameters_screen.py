@@ -8,6 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING, ClassVar
 
 from rich.cells import cell_len
+from textual import work
 from textual.binding import Binding
 
 from rsb_bridge.feature_api import Effect, EngineError, Wording
@@ -165,8 +166,9 @@ class ParametersScreen(FilteredScreen[None]):
     def action_read(self) -> None:
         self._problem = ""
         self.summary.put([((ParametersScreenText.READING(node=self._node), "dim"),)])
-        self.run_worker(self._read(), exclusive=True, group="parameters")
+        self._read()
 
+    @work(exclusive=True, group="parameters")
     async def _read(self) -> None:
         engine = self.console.engine
         if engine is None:
@@ -237,8 +239,9 @@ class ParametersScreen(FilteredScreen[None]):
             reason = (ParameterText.READ_ONLY if parameter.read_only else ParametersScreenText.TOO_LARGE)()
             self._warn(ParametersScreenText.MAY_NOT(name=parameter.name, reason=reason))
         else:
-            self.run_worker(self._edit(parameter), group=DIALOG)
+            self._edit(parameter)
 
+    @work(group=DIALOG)
     async def _edit(self, parameter: NodeParameter) -> None:
         change = await self.console.ask(ParameterForm(self._node, parameter))
         if change is None or change.value.value == parameter.value:

@@ -7,6 +7,7 @@ import re
 import textwrap
 from typing import TYPE_CHECKING, ClassVar
 
+from textual import work
 from textual.binding import Binding
 from textual.screen import ModalScreen
 
@@ -123,8 +124,9 @@ class NodesScreen(FilteredScreen[str | None]):
             self._ask()
 
     def _ask(self) -> None:
-        self._fetching = self.run_worker(self._fetch(self.feed), exclusive=True, group="nodes")
+        self._fetching = self._fetch(self.feed)
 
+    @work(exclusive=True, group="nodes")
     async def _fetch(self, feed: NodeFeed) -> None:
         if self._topic:
             topic, self._topic = self._topic, ""
@@ -202,8 +204,9 @@ class NodesScreen(FilteredScreen[str | None]):
             self._folds[key] = not self._is_folded(group)
             self.show()
         elif key in self.feed.book.nodes:
-            self.run_worker(self._open(key), exclusive=True, group="node")
+            self._open(key)
 
+    @work(exclusive=True, group="node")
     async def _open(self, name: str) -> None:
         details = await self._details(name)
         if details is None:
@@ -225,8 +228,9 @@ class NodesScreen(FilteredScreen[str | None]):
     def action_topics(self) -> None:
         """Show the topics of the node under the cursor in the table of topics."""
         if (name := self.table.cursor_key or "") in self.feed.book.nodes:
-            self.run_worker(self._show_topics(name), exclusive=True, group="node")
+            self._show_topics(name)
 
+    @work(exclusive=True, group="node")
     async def _show_topics(self, name: str) -> None:
         if (details := await self._details(name)) is not None:
             self._close_for(name, details)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from textual import work
+
 from rsb_console.feature_console import added_tiles, fit
 from rsb_extras.pictures.picture_rows import Part
 from rsb_extras.pictures.tile import Tile
@@ -39,7 +41,11 @@ class LinesTile(Tile):
     def _renew(self) -> None:
         """Ask again, unless an answer is still due, perhaps over a thin line."""
         if self._renewing is None or self._renewing.is_finished:
-            self._renewing = self.run_worker(self._source.renew(), group="tile")
+            self._renewing = self._ask()
+
+    @work(group="tile")
+    async def _ask(self) -> None:
+        await self._source.renew()
 
     def fit(self) -> None:
         width, height = self.size

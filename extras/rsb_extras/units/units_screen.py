@@ -6,6 +6,7 @@ import asyncio
 from typing import TYPE_CHECKING, ClassVar, NamedTuple, TypeAlias
 from weakref import WeakKeyDictionary
 
+from textual import work
 from textual.binding import Binding
 
 from rsb_bridge.feature_api import Effect, EngineError, Wording
@@ -135,8 +136,9 @@ class UnitsScreen(SidesScreen["UnitGroup"]):
         elif (last := self.results.get(row.key)) is not None and last[1] is None:
             self.warn(UnitsScreenText.WAIT(name=row.unit.name, action=last[0]))
         else:
-            self.run_worker(self._ask(row, action), group=DIALOG)
+            self._ask(row, action)
 
+    @work(group=DIALOG)
     async def _ask(self, row: UnitRow, action: UnitAction) -> None:
         title = UnitsCommandText.ASK(action=action.capitalize(), name=row.unit.name, side=row.side)
         means = UnitsScreenText[action.upper()]()
