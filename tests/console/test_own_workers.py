@@ -1,7 +1,6 @@
 """A screen's own method is a worker by `textual.work`, which hands over a function.
 
-The coroutine of a worker that ends before it begins, as when the console quits, is never awaited: Python warns, whichever
-test or command runs by then.
+The coroutine of a worker that ends before it begins, as when the console quits, is never awaited: Python warns.
 """
 
 from __future__ import annotations
