@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 from contextlib import suppress
 from typing import TYPE_CHECKING, NamedTuple
@@ -54,16 +55,24 @@ class LivePart(NamedTuple):
 def own_files(state: Path, session: Session, recordings: Iterable[Kept]) -> Iterator[Path]:
     """Yield the files of this bridge's ring, and of what it has recorded (`P`, `record`, stretches)."""
     stem = file_stem(session.name)
-    for lock in sorted((state / RING).glob(f"{stem}*{_LOCK}")):
-        name = lock.name.removesuffix(_LOCK)
-        is_one = name == stem or name.removeprefix(f"{stem}-").isdigit()
-        with suppress(OSError):
-            if is_one and lock.read_text(errors="replace").strip() == session.role:
-                yield from sorted((state / RING / name).glob("*.mcap"))
+    roles = {lock.name.removesuffix(_LOCK): _role(lock) for lock in (state / RING).glob(f"{stem}*{_LOCK}")}
+    numbered = re.compile(rf"{re.escape(stem)}(-[2-9])?")
+    own = {name for name, role in roles.items() if role == session.role and numbered.fullmatch(name)}
+    for name in sorted(own):
+        yield from sorted((state / RING / name).glob("*.mcap"))
+    if roles.get(stem, session.role) == session.role:  # with no ring, there are files of `P` and `record`
+        own.add(stem)
+    dated = re.compile(rf"({'|'.join(map(re.escape, own))})-\d{{8}}-\d{{6}}\b.*")
     for kept in recordings:
-        if kept.path.name.startswith(f"{stem}-"):
+        if own and dated.fullmatch(kept.path.name):
             with suppress(RecordingError):
                 yield from files_of(kept.path)
+
+
+def _role(lock: Path) -> str:
+    with suppress(OSError):
+        return lock.read_text(errors="replace").strip()
+    return ""
 
 
 def overlapping(files: Iterable[Path], topics: Iterable[str], begin: int, end: int) -> list[LivePart]:

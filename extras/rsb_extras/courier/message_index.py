@@ -37,6 +37,7 @@ _LATE = 600_000_000_000
 """ns that one of several equal messages may be on its way. A round figure, above what outboxes hold in practice."""
 _ON_TIME, _SPREADS = 20_000_000, 4
 """ns by which messages on time may differ anyway, and how many times the spread of the fastest. Round figures."""
+_NEVER = 1 << 100  # ns
 _PUBLISHERS = 16  # of a topic that are told apart by their numbers. A round figure
 _MOST_LOST = 100_000
 """Messages in a gap of a publisher's numbers, above which it is another publisher. A round figure."""
@@ -477,7 +478,7 @@ def _pairs(equal: Iterator[_Row], on_time: int) -> Iterator[tuple[int, int]]:
     """Yield the ids of equal messages that are the same: of the side where they come from, and of the other one.
 
     The last one that came is the last one that was sent before it, and so on, as outboxes let the oldest go. Those that
-    are on time part the others, as no message overtakes another one.
+    are alone and on time part the others, as no message overtakes another one.
 
     Args:
         equal: the newest first.
@@ -489,19 +490,27 @@ def _pairs(equal: Iterator[_Row], on_time: int) -> Iterator[tuple[int, int]]:
     if len(rows) == 2 and rows[0].is_sink and not rows[1].is_sink:
         yield rows[1].id, rows[0].id
         return
-    for row in itertools.chain(rows, equal):
+    source_before = sink_before = last_sink = _NEVER
+    for row, following in itertools.pairwise(itertools.chain(rows, equal, (None,))):
+        assert row is not None
         if row.is_sink:
             sinks.append(row)
+            sink_before, last_sink = last_sink, row.place
             continue
-        later = list(itertools.takewhile(lambda sink: sink.place - row.place > on_time, sinks))  # noqa: B023
-        if len(later) == len(sinks):
+        is_alone = (
+            source_before - row.place > on_time
+            and (following is None or following.is_sink or row.place - following.place > on_time)
+            and sink_before - last_sink > 2 * on_time
+        )
+        source_before = row.place
+        if is_alone and sinks and last_sink - row.place <= on_time:
+            sink = sinks.pop()
+            yield from _late_pairs(sources, sinks)
+            sources.clear()
+            sinks.clear()
+            yield row.id, sink.id
+        else:
             sources.append(row)
-            continue
-        for _ in later:
-            sinks.popleft()
-        yield from _late_pairs(sources, deque(later))
-        sources.clear()
-        yield row.id, sinks.popleft().id
     yield from _late_pairs(sources, sinks)
 
 

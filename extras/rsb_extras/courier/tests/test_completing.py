@@ -55,7 +55,7 @@ def expected(message: StoredMessage) -> StoredMessage:
     return message._replace(time=message.time + BEHIND, published=message.published + BEHIND)
 
 
-def live(bags: Path, content: Iterable[StoredMessage], name: str = "robot1-noon.mcap") -> None:
+def live(bags: Path, content: Iterable[StoredMessage], name: str = "robot1-20260730-101500.mcap") -> None:
     """Write what a bridge of this side has recorded."""
     folder = bags.parent / "state" / "rsb-console" / "recordings"
     folder.mkdir(parents=True, exist_ok=True)
@@ -179,7 +179,7 @@ def test_it_goes_on_over_cuts_and_restarts(bridge: Bridge, bags: Path) -> None:
         bridge.through(relay)
         pc, robot = two_sides(bridge, bags)
         name = complete(pc)
-        (bags.parent / "state" / "rsb-console" / "recordings" / "robot1-noon.mcap").unlink()
+        (bags.parent / "state" / "rsb-console" / "recordings" / "robot1-20260730-101500.mcap").unlink()
         for cut in range(6):
             _goes_on(pc, name)
             relay.cut()

@@ -92,6 +92,13 @@ def test_what_the_other_side_began_to_record_later_came_live_only(compared: Comp
     assert figures(index) == (110, 100, 0)
 
 
+def test_equal_messages_that_come_at_once_are_each_one(compared: Compared) -> None:
+    """As of an outbox behind an outage, with those that are sent right behind it: taken together, all have come."""
+    there = [at(n, b"x") for n in (0, 1, 2, *range(900, 960), *range(2600, 2620))] + [at(9000, b"mark")]
+    live = [at(n, b"x") for n in (3, 4, 5, *range(2560, 2600, 2), *range(2605, 2725, 2))] + [at(9000, b"mark")]
+    assert figures(compared(there, live)) == (84, 0, 0)
+
+
 def test_the_offset_is_that_of_messages_that_were_not_late(compared: Compared) -> None:
     """Of 100, 85 waited for the end of an outage; one that the robot lost looks 20 s early."""
     there = every(100, 100)
