@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.feature_api import Wording
 from rsb_console.notation.formats import byte_count
-from rsb_extras.courier.completion import ClockSource, GapReason
+from rsb_extras.courier.completed_recording import ClockSource, MissingReason
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from rsb_extras.courier.completion import Completed, CompletedClock, CompletedTopic, Gap
+    from rsb_extras.courier.completed_recording import CompletedClock, CompletedRecording, CompletedTopic, MissingSpan
 
 _LAST_DATE = 4_000_000_000_000_000_000
 """ns since the epoch, 2096: what comes later has no date on every machine."""
@@ -31,17 +31,17 @@ class CompletedText(Wording):
 
 
 _REASONS = {
-    GapReason.BEGINS_LATER: "the other side's recording begins later",
-    GapReason.ENDS_EARLIER: "the other side's recording ends earlier",
-    GapReason.NOT_RECORDED: "the other side's recording has no such topic",
-    GapReason.DENIED: "the other side's session does not let this side read it",
-    GapReason.LOST: "the other side's recording has lost them",
-    GapReason.DAMAGED: "the other side's recording is damaged there",
-    GapReason.NOT_GIVEN: "the other side did not send them",
+    MissingReason.BEGINS_LATER: "the other side's recording begins later",
+    MissingReason.ENDS_EARLIER: "the other side's recording ends earlier",
+    MissingReason.NOT_RECORDED: "the other side's recording has no such topic",
+    MissingReason.DENIED: "the other side's session does not let this side read it",
+    MissingReason.LOST: "the other side's recording has lost them",
+    MissingReason.DAMAGED: "the other side's recording is damaged there",
+    MissingReason.NOT_GIVEN: "the other side did not send them",
 }
 
 
-def completed_lines(completed: Completed) -> Iterator[str]:
+def completed_lines(completed: CompletedRecording) -> Iterator[str]:
     """Yield the lines that tell what is in the file, and what is missing and why."""
     fetched, whole = byte_count(completed.fetched), byte_count(completed.whole)
     yield CompletedText.BYTES(fetched=fetched, whole=whole)
@@ -67,7 +67,7 @@ def _of_topic(topic: CompletedTopic) -> Iterator[str]:
         yield CompletedText.MORE(count=topic.more_gaps)
 
 
-def _of_gap(gap: Gap) -> str:
+def _of_gap(gap: MissingSpan) -> str:
     messages = "" if gap.messages is None else CompletedText.COUNT(count=gap.messages)
     begin, end = _date(gap.begin), _date(gap.end)
     return CompletedText.GAP(begin=begin, end=end, messages=messages, reason=_REASONS[gap.reason])

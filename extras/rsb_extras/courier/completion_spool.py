@@ -15,7 +15,13 @@ import msgspec
 
 from rsb_bridge.config.files import UNFINISHED
 from rsb_bridge.feature_api import Wording
-from rsb_extras.courier.completion import MOST_GAPS, Completed, CompletedTopic, Gap, GapReason
+from rsb_extras.courier.completed_recording import (
+    MOST_GAPS,
+    CompletedRecording,
+    CompletedTopic,
+    MissingReason,
+    MissingSpan,
+)
 from rsb_extras.courier.fetch_spool import PieceRow, Spool, check_room, until
 from rsb_extras.courier.live_parts import keep_parts
 from rsb_extras.courier.message_index import MOST_MESSAGES, MessageIndex, TooManyMessagesError
@@ -35,7 +41,7 @@ if TYPE_CHECKING:
     from rsb_extras.recording.reading.stored_message import StoredChannel, StoredMessage
 
 METADATA = "rsb_completed"
-"""The name of the metadata record of the file, whose `json` is a `Completed`."""
+"""The name of the metadata record of the file, whose `json` is a `CompletedRecording`."""
 _HEADS, _LIVE, _INDEX, _UNSORTED = "heads", "live", "messages.db", "unsorted.mcap"
 _HEADS_SHARE = 0.1
 """Of what a fetch shows of its progress, for the heads. A round figure."""
@@ -84,12 +90,10 @@ class CompletionSpool(Spool):
     def next_row(self, stop: Callable[[], bool]) -> PieceRow | None:
         with self._working:
             while self._rows[-1].is_whole:
-                if self._index is None:
-                    self._index = self._compared(stop)
-                    self._orders = self._index.orders
+                index = self._index or self._compared(stop)
                 if len(self._rows) > self._orders:
                     return None
-                self._rows.append(self._row(self._index, len(self._rows), stop))
+                self._rows.append(self._row(index, len(self._rows), stop))
             return self._rows[-1]
 
     def _row(self, index: MessageIndex, number: int, stop: Callable[[], bool]) -> PieceRow:
@@ -104,7 +108,17 @@ class CompletionSpool(Spool):
     def _compared(self, stop: Callable[[], bool]) -> MessageIndex:
         path = self.folder / _INDEX
         path.unlink(missing_ok=True)  # of a bridge before: the same comes of the same files
-        index = MessageIndex(path, self._completes.topics, lambda: check_room(self.folder))
+        self._index = index = MessageIndex(path, self._completes.topics, lambda: check_room(self.folder))
+        try:
+            self._fill(index, stop)
+        except BaseException:
+            self._index = None
+            index.close()
+            raise
+        self._orders = index.orders
+        return index
+
+    def _fill(self, index: MessageIndex, stop: Callable[[], bool]) -> None:
         try:
             index.add_there(until(self._rows[0].messages(), stop))
             numbered = enumerate(until(self._live(), stop), 1)
@@ -115,7 +129,6 @@ class CompletionSpool(Spool):
             raise PieceError(CompletionProblem.TOO_MANY(most=MOST_MESSAGES)) from None
         except sqlite3.Error as error:
             raise OSError(errno.ENOSPC, CompletionProblem.NO_ROOM(folder=self.folder, error=error)) from None
-        return index
 
     def _live(self) -> Iterator[tuple[Path, StoredMessage]]:
         """Yield the messages that came live, file by file; what is damaged ends a file."""
@@ -192,20 +205,23 @@ class CompletionSpool(Spool):
             return min(begin, first or begin), max(end, last)
         return begin, end
 
-    def _figures(self, index: MessageIndex) -> Completed:
+    def _figures(self, index: MessageIndex) -> CompletedRecording:
         figures = [*index.figures(*self._span(index))]
         topics = [self._topic(index, number, each) for number, each in enumerate(figures)]
         fetched, whole = sum(each.size for each in figures), sum(each.whole for each in figures)
-        return Completed(index.clock, tuple(topics), fetched, whole)
+        return CompletedRecording(index.clock, tuple(topics), fetched, whole)
 
     def _topic(self, index: MessageIndex, number: int, figures: TopicFigures) -> CompletedTopic:
         name = self._completes.topics[number]
         lost, gaps = index.lost(number)
-        missing = [Gap(GapReason.LOST, index.here(each.begin), index.here(each.end), each.messages) for each in gaps]
+        missing = [
+            MissingSpan(MissingReason.LOST, index.here(each.begin), index.here(each.end), each.messages)
+            for each in gaps
+        ]
         if (absent := figures.absent) is not None:
             lost += absent.messages
             span = index.here(absent.begin), index.here(absent.end)
-            missing.append(Gap(GapReason.NOT_GIVEN, *span, absent.messages))
+            missing.append(MissingSpan(MissingReason.NOT_GIVEN, *span, absent.messages))
         missing += self._unknown(index, name.there)
         largest = sorted(missing, key=lambda gap: (gap.messages is not None, -(gap.messages or 0)))
         shown = sorted(largest[:MOST_GAPS], key=lambda gap: gap.begin)
@@ -214,20 +230,20 @@ class CompletionSpool(Spool):
             max(0, len(missing) - MOST_GAPS),
         )  # fmt: skip
 
-    def _unknown(self, index: MessageIndex, topic: str) -> Iterator[Gap]:
+    def _unknown(self, index: MessageIndex, topic: str) -> Iterator[MissingSpan]:
         """Yield the times of which the other side's recording has nothing to tell."""
         begin, end = self._span(index)
         listed, heads = self.asked.listed, self._rows[0]
         if topic in heads.denied:
-            yield Gap(GapReason.DENIED, begin, end)
+            yield MissingSpan(MissingReason.DENIED, begin, end)
         elif all(channel.topic != topic for channel in index.channels) and not heads.damage:
-            yield Gap(GapReason.NOT_RECORDED, begin, end)
+            yield MissingSpan(MissingReason.NOT_RECORDED, begin, end)
         else:
             first, last = index.here(listed.begin), index.here(heads.at.time if heads.damage else listed.end)
-            if begin < first:
-                yield Gap(GapReason.BEGINS_LATER, begin, first)
-            if end > last:
-                yield Gap(GapReason.DAMAGED if heads.damage else GapReason.ENDS_EARLIER, last, end)
+            if begin < first and listed.end:
+                yield MissingSpan(MissingReason.BEGINS_LATER, begin, first)
+            if end > last and listed.end:
+                yield MissingSpan(MissingReason.DAMAGED if heads.damage else MissingReason.ENDS_EARLIER, last, end)
 
 
 def _placed(message: StoredMessage, channel: StoredChannel, place: Placed) -> StoredMessage:
@@ -242,5 +258,5 @@ def _alike(channel: StoredChannel, known: Sequence[StoredChannel]) -> StoredChan
     return next(same, channel)
 
 
-def _text(completed: Completed) -> str:
+def _text(completed: CompletedRecording) -> str:
     return msgspec.json.encode(completed).decode()

@@ -27,7 +27,7 @@ from rsb_bridge.feature_api import (
     why_not_written,
 )
 from rsb_extras.courier import RECORDINGS_KEY
-from rsb_extras.courier.completion import AskedCompletion, CompletedName
+from rsb_extras.courier.completed_recording import AskedCompletion, CompletedName
 from rsb_extras.courier.completion_spool import CompletionSpool
 from rsb_extras.courier.courier_records import LATEST, ListedRecording, Wanted
 from rsb_extras.courier.courier_requests import (
@@ -195,7 +195,8 @@ class CourierPart(EnginePart):
             else:
                 completes, wanted = None, _wanted(command, listed)
             for fetch in self._fetches.values():
-                if not fetch.is_over and fetch.asked.link == link.name and fetch.asked.wanted == wanted:
+                asked = fetch.asked
+                if not fetch.is_over and (asked.link, asked.wanted, asked.completes) == (link.name, wanted, completes):
                     return fetch.asked.name
             if sum(not each.is_over for each in self._fetches.values()) >= MOST_FETCHES:
                 raise LinkError(FetchProblem.TOO_MANY(most=MOST_FETCHES))
@@ -368,8 +369,8 @@ def _completed(command: FetchRecording, link: Link, listed: ListedRecording) -> 
         _wanted(command, listed)  # with the reason why there are none, or too many
     topics = [CompletedName(topic, *near_names.get(topic, (topic, True))) for topic in dict.fromkeys(there)]
     begin = command.begin or listed.begin
-    end = min(command.end, listed.end) if command.end == LATEST else command.end
-    if begin > end or begin > listed.end or end < listed.begin:
+    end = listed.end or LATEST if command.end == LATEST else command.end
+    if begin > end or (listed.end and begin > listed.end) or end < listed.begin:
         raise LinkError(FetchProblem.SPAN(name=listed.name, seconds=(listed.end - listed.begin) / 1e9))
     ahead = link.clock.offset
     wanted = Wanted(listed.id, listed.stamp, tuple(each.there for each in topics), begin, end, heads=True)

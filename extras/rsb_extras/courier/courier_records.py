@@ -74,7 +74,7 @@ class Cursor(msgspec.Struct, frozen=True, array_like=True, order=True):
     offset: Count = 0
 
 
-class Span(msgspec.Struct, frozen=True, array_like=True):
+class WantedSpan(msgspec.Struct, frozen=True, array_like=True):
     """Messages of one topic that follow each other.
 
     Attributes:
@@ -104,4 +104,4 @@ class Wanted(msgspec.Struct, frozen=True, omit_defaults=True):
     begin: Nanoseconds = 0
     end: Nanoseconds = LATEST
     heads: bool = False
-    spans: Annotated[tuple[Span, ...], Meta(max_length=MOST_SPANS)] = ()
+    spans: Annotated[tuple[WantedSpan, ...], Meta(max_length=MOST_SPANS)] = ()

@@ -10,7 +10,7 @@ from msgspec import Meta
 
 from rsb_bridge.feature_api import TEXT_LENGTH, Command, Count, Effect, Name, Reason, Right, Seconds, sanitize_text
 from rsb_bridge.wire.records import Nanoseconds, Share
-from rsb_extras.courier.completion import Completed
+from rsb_extras.courier.completed_recording import CompletedRecording
 from rsb_extras.courier.courier_records import LATEST, MOST_RECORDINGS, ListedRecording, TopicNames
 
 LISTED_WITHIN = 60.0
@@ -62,7 +62,7 @@ class FetchReport(msgspec.Struct, frozen=True, omit_defaults=True):
     messages: Count = 0
     path: Annotated[str, Meta(max_length=_PATH)] = ""
     reason: Reason = ""
-    completed: Completed | None = None
+    completed: CompletedRecording | None = None
 
 
 class ListRecordings(Command[tuple[RecordingGroup, ...]], frozen=True, tag="list_recordings"):

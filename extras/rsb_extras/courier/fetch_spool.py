@@ -13,7 +13,7 @@ import msgspec
 
 from rsb_bridge.config.files import UNFINISHED, is_there
 from rsb_bridge.feature_api import Count, Name, Wording, make_folder, replace_file
-from rsb_extras.courier.completion import AskedCompletion
+from rsb_extras.courier.completed_recording import AskedCompletion
 from rsb_extras.courier.courier_records import Cursor, ListedRecording, Wanted
 from rsb_extras.courier.pieces import (
     MOST_CHANNELS,
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from pathlib import Path
     from typing import Self
 
-    from rsb_extras.courier.completion import Completed
+    from rsb_extras.courier.completed_recording import CompletedRecording
     from rsb_extras.recording.reading.stored_message import StoredMessage
 
 _T = TypeVar("_T")
@@ -188,7 +188,7 @@ class Spool(ABC):
 
     def __init__(self, folder: Path, asked: AskedFetch) -> None:
         self.folder, self.asked = folder, asked
-        self.completed: Completed | None = None
+        self.completed: CompletedRecording | None = None
         self._working = threading.RLock()
 
     def make(self) -> Self:

@@ -9,6 +9,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.feature_api import LinkError, Wording, file_stem
+from rsb_extras.courier.fetch_spool import check_room
 from rsb_extras.recording.reading.mcap_records import MCAP_MAGIC
 from rsb_extras.recording.reading.open_recording import OpenRecording
 from rsb_extras.recording.reading.recording_files import SUFFIXES, files_of
@@ -130,6 +131,7 @@ def keep_parts(parts: Iterable[LivePart], folder: Path) -> None:
             with suppress(OSError):  # another file system
                 os.link(part.path, target)
                 continue
+        check_room(folder, part.path.stat().st_size)
         shutil.copyfile(part.path, target)
 
 

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from msgspec.structs import replace
 
-from rsb_extras.courier.completion import MOST_GAPS, ClockSource, CompletedClock
-from rsb_extras.courier.courier_records import LATEST, MOST_SPANS, Span
+from rsb_extras.courier.completed_recording import MOST_GAPS, ClockSource, CompletedClock
+from rsb_extras.courier.courier_records import LATEST, MOST_SPANS, WantedSpan
 from rsb_extras.courier.picking import HeadError, read_head
 from rsb_extras.courier.pieces import PieceError, PieceProblem
 from rsb_extras.recording.reading.recorded_qos import LATCHED, parsed_profiles, policy
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
     from pathlib import Path
 
-    from rsb_extras.courier.completion import CompletedName
+    from rsb_extras.courier.completed_recording import CompletedName
     from rsb_extras.courier.courier_records import Wanted
     from rsb_extras.recording.reading.stored_message import StoredChannel, StoredMessage
 
@@ -37,6 +37,8 @@ _LATE = 600_000_000_000
 """ns that one of several equal messages may be on its way. A round figure, above what outboxes hold in practice."""
 _ON_TIME, _SPREADS = 20_000_000, 4
 """ns by which messages on time may differ anyway, and how many times the spread of the fastest. Round figures."""
+_ALL_PROFILES = 1 << 20
+"""Characters of QoS of all channels that are parsed, which takes 0.1 s for 20,000. A round figure."""
 _NEVER = 1 << 100  # ns
 _PUBLISHERS = 16  # of a topic that are told apart by their numbers. A round figure
 _MOST_LOST = 100_000
@@ -85,7 +87,7 @@ class Placed(NamedTuple):
     number: int
 
 
-class Lost(NamedTuple):
+class AbsentMessages(NamedTuple):
     """Messages that are missing between two times (ns since the epoch on the other side's clock)."""
 
     messages: int
@@ -108,7 +110,7 @@ class TopicFigures(NamedTuple):
     fetched: int
     size: int
     whole: int
-    absent: Lost | None
+    absent: AbsentMessages | None
 
 
 class MessageIndex:
@@ -132,6 +134,7 @@ class MessageIndex:
         self._database.execute("BEGIN")
         self._topics, self._check_room = topics, check_room
         self._count = Counter[str]()
+        self._profiles = 0
         self._there = {each.there: number for number, each in enumerate(topics)}
         self._here = {each.here: number for number, each in enumerate(topics)}
         self.latched: set[int] = set()
@@ -179,7 +182,10 @@ class MessageIndex:
         return number
 
     def _note_latched(self, topic: int, channel: StoredChannel) -> None:
-        if any(policy(LATCHED, each.get("durability")) for each in parsed_profiles(channel.profiles)):
+        self._profiles += len(channel.profiles)
+        if self._profiles <= _ALL_PROFILES and any(
+            policy(LATCHED, each.get("durability")) for each in parsed_profiles(channel.profiles)
+        ):
             self.latched.add(topic)
 
     def add_live(self, messages: Iterable[tuple[int, StoredMessage]]) -> None:
@@ -360,7 +366,7 @@ class MessageIndex:
         begins = [rows[0][1], *(begin for _, begin, _ in rows)]
         topics = sorted({topic for topic, _, _ in rows})  # this side may not read others
         spans = tuple(
-            Span(topics.index(topic), begin - before, end - begin)
+            WantedSpan(topics.index(topic), begin - before, end - begin)
             for (topic, begin, end), before in zip(rows, begins, strict=False)
         )
         names = tuple(self._topics[topic].there for topic in topics)
@@ -425,7 +431,9 @@ class MessageIndex:
             query = "SELECT COUNT(*), MIN(time), MAX(time) FROM there WHERE topic = ? AND live IS NULL AND came IS NULL"
             absent = self._database.execute(query, (topic,)).fetchone()
             only = self._only_live(topic, begin, end)
-            yield TopicFigures(both + only, only, fetched, int(size), int(whole), Lost(*absent) if absent[0] else None)
+            yield TopicFigures(
+                both + only, only, fetched, int(size), int(whole), AbsentMessages(*absent) if absent[0] else None
+            )
 
     def _only_live(self, topic: int, begin: int, end: int) -> int:
         query = (
@@ -434,7 +442,7 @@ class MessageIndex:
         count: int = self._database.execute(query, (topic, begin, end)).fetchone()[0]
         return count
 
-    def lost(self, topic: int) -> tuple[int, list[Lost]]:
+    def lost(self, topic: int) -> tuple[int, list[AbsentMessages]]:
         """Return how many messages of a topic neither side has by their numbers, and the largest gaps."""
         streams: dict[int, _Streams] = {}
         total = 0
@@ -452,7 +460,7 @@ class MessageIndex:
             came = self._only_live(topic, self.here(begin), self.here(end))
             total -= min(count, came)
             if count > came:
-                found.append(Lost(count - came, begin, end))
+                found.append(AbsentMessages(count - came, begin, end))
         return total, found
 
 

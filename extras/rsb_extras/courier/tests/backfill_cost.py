@@ -24,7 +24,7 @@ from tests.simulation.world import World
 from rsb_bridge.feature_api import LinkError
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
-from rsb_extras.courier.completion import AskedCompletion, CompletedName
+from rsb_extras.courier.completed_recording import AskedCompletion, CompletedName
 from rsb_extras.courier.completion_spool import CompletionSpool
 from rsb_extras.courier.courier_records import Wanted
 from rsb_extras.courier.fetch_spool import AskedFetch
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from tests.simulation.topic_flow import TopicFlow
 
     from rsb_bridge.feature_api import Link
-    from rsb_extras.courier.completion import Completed
+    from rsb_extras.courier.completed_recording import CompletedRecording
     from rsb_extras.recording.message_ring import RingMessage
 
 _BANDWIDTH, _LOSS = 250_000.0, 0.3  # bytes/s
@@ -62,7 +62,7 @@ class Backfill(NamedTuple):
         seconds: on virtual time, and `took` on a real clock to compare and to write.
     """
 
-    completed: Completed
+    completed: CompletedRecording
     path: Path
     robot: Path
     crossed: int

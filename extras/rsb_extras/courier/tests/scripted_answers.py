@@ -4,7 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
-from rsb_extras.courier.completion import ClockSource, Completed, CompletedClock, CompletedTopic, Gap, GapReason
+from rsb_extras.courier.completed_recording import (
+    ClockSource,
+    CompletedClock,
+    CompletedRecording,
+    CompletedTopic,
+    MissingReason,
+    MissingSpan,
+)
 from rsb_extras.courier.courier_records import ListedRecording, ListedTopic
 from rsb_extras.courier.courier_requests import (
     CancelFetch,
@@ -36,11 +43,14 @@ DONE = FetchReport(
 )  # fmt: skip
 
 
-COMPLETED = Completed(
+COMPLETED = CompletedRecording(
     CompletedClock(ClockSource.MESSAGES, -1_500_000_000, 900, 2_000_000),
     (CompletedTopic(
         "/scan", "/front/scan", 900, 10, 80, 12,
-        (Gap(GapReason.LOST, BEGAN, BEGAN + 1_000_000_000, 12), Gap(GapReason.BEGINS_LATER, 0, 0)), 3,
+        (
+            MissingSpan(MissingReason.LOST, BEGAN, BEGAN + 1_000_000_000, 12),
+            MissingSpan(MissingReason.BEGINS_LATER, 0, 0),
+        ), 3,
     ),),
     1_000_000, 9_000_000,
 )  # fmt: skip

@@ -14,7 +14,7 @@ from tests.support.relay import Relay
 from tests.support.waiting import eventually
 
 from rsb_bridge.api import EngineError
-from rsb_extras.courier.completion import ClockSource, Completed, GapReason
+from rsb_extras.courier.completed_recording import ClockSource, CompletedRecording, MissingReason
 from rsb_extras.courier.courier_records import LATEST
 from rsb_extras.courier.courier_requests import CancelFetch, FetchRecording, FetchState
 from rsb_extras.courier.tests.bags import BEGAN, SECOND, channel, in_bag, write_bag
@@ -66,7 +66,7 @@ def complete(engine: Engine, *topics: str, begin: int = 0, end: int = LATEST, li
     return engine.do(FetchRecording("robot1", "drive.mcap", topics, begin, end, completes=True, live=live)).result(60)
 
 
-def completed(engine: Engine, *topics: str, **asked: str | int) -> tuple[FetchReport, Completed]:
+def completed(engine: Engine, *topics: str, **asked: str | int) -> tuple[FetchReport, CompletedRecording]:
     found = done(engine, complete(engine, *topics, **asked))  # type: ignore[arg-type]
     assert found.completed is not None
     return found, found.completed
@@ -103,7 +103,7 @@ def test_each_message_is_there_once_on_one_clock(bridge: Bridge, bags: Path) -> 
     with Path(found.path).open("rb") as file:
         (record,) = make_reader(file).iter_metadata()
     assert record.name == "rsb_completed"
-    assert msgspec.json.decode(record.metadata["json"], type=Completed) == result
+    assert msgspec.json.decode(record.metadata["json"], type=CompletedRecording) == result
 
 
 def test_nothing_is_fetched_that_came(bridge: Bridge, bags: Path) -> None:
@@ -149,11 +149,11 @@ def test_what_neither_side_has_is_told_with_the_reason(bridge: Bridge, bags: Pat
     _, result = completed(pc, "/scan", "/secret", "/nowhere", begin=BEGAN, end=end)
     scan, secret, nowhere = result.topics
     assert [(each.reason, each.messages) for each in scan.gaps] == [
-        (GapReason.BEGINS_LATER, None), (GapReason.LOST, 25), (GapReason.ENDS_EARLIER, None),
+        (MissingReason.BEGINS_LATER, None), (MissingReason.LOST, 25), (MissingReason.ENDS_EARLIER, None),
     ]  # fmt: skip
     assert (scan.live, scan.only_live, scan.fetched, scan.missing) == (105, 55, 220, 25)
-    assert [each.reason for each in secret.gaps] == [GapReason.DENIED]
-    assert [each.reason for each in nowhere.gaps] == [GapReason.NOT_RECORDED]
+    assert [each.reason for each in secret.gaps] == [MissingReason.DENIED]
+    assert [each.reason for each in nowhere.gaps] == [MissingReason.NOT_RECORDED]
     assert (scan.gaps[0].begin, scan.gaps[-1].end) == (BEGAN + BEHIND, end + BEHIND)
 
 

@@ -17,7 +17,7 @@ from tests.support.waiting import eventually
 
 from rsb_bridge.model.session import Topic
 from rsb_extras.audit.comparing import AuditOptions, compare
-from rsb_extras.courier.completion import ClockSource
+from rsb_extras.courier.completed_recording import ClockSource
 from rsb_extras.courier.courier_requests import FetchRecording
 from rsb_extras.courier.tests.courier_bed import done, robot_features
 from rsb_extras.disk_ring.keep_stretch import KeepStretch

@@ -11,8 +11,8 @@ from msgspec.structs import replace
 from tests.console.scripted import ScriptedEngine, answers
 
 from rsb_console.command.shell import FAILURE, OK, USAGE
+from rsb_extras.courier.completed_recording import ClockSource, CompletedClock, CompletedRecording
 from rsb_extras.courier.completed_text import completed_lines
-from rsb_extras.courier.completion import ClockSource, Completed, CompletedClock
 from rsb_extras.courier.courier_records import LATEST
 from rsb_extras.courier.courier_requests import CancelFetch, FetchRecording, FetchState, ListFetches
 from rsb_extras.courier.tests.scripted_answers import BEGAN, COMPLETED, DONE, DRIVE, FETCH
@@ -118,14 +118,14 @@ def test_completing_tells_what_is_missing_and_why(machine: Machine, ran: Run, mo
         "  3 more, shorter ones",
     ]
     found = ran(*words, "--json").json["completed"]
-    assert msgspec.convert(found, Completed) == COMPLETED
+    assert msgspec.convert(found, CompletedRecording) == COMPLETED
 
 
 @pytest.mark.parametrize(
     ("source", "text"), [("link", "by the link's measurement"), ("none", "by nothing: no message came live")]
 )
 def test_a_clock_that_no_message_shows_is_told(source: str, text: str) -> None:
-    (_, line) = completed_lines(Completed(CompletedClock(ClockSource(source)), ()))
+    (_, line) = completed_lines(CompletedRecording(CompletedClock(ClockSource(source)), ()))
     assert text in line
 
 

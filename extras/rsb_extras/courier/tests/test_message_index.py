@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from rsb_extras.courier.completion import ClockSource, CompletedName
+from rsb_extras.courier.completed_recording import ClockSource, CompletedName
 from rsb_extras.courier.courier_records import LATEST, MOST_SPANS, Wanted
-from rsb_extras.courier.message_index import Lost, MessageIndex
+from rsb_extras.courier.message_index import AbsentMessages, MessageIndex
 from rsb_extras.courier.picking import head_of, picked
 from rsb_extras.courier.pieces import PieceError
 from rsb_extras.courier.tests.bags import BEGAN, SECOND, channel, write_bag
@@ -137,7 +137,7 @@ def test_gaps_in_numbers_are_lost_ones(compared: Compared) -> None:
     first = [at(n * 10, b"a%d" % n, number=1000 + n) for n in range(100) if not 20 <= n < 25]
     second = [at(n * 10 + 5, b"b%d" % n, number=n + 1) for n in range(100) if n != 50]
     index = compared(sorted([*first, *second], key=lambda each: each.time), [at(510, b"b50")])
-    assert index.lost(0) == (5, [Lost(5, BEGAN + 190 * MS, BEGAN + 250 * MS)])
+    assert index.lost(0) == (5, [AbsentMessages(5, BEGAN + 190 * MS, BEGAN + 250 * MS)])
 
 
 def test_missing_messages_are_ordered_by_spans(compared: Compared, tmp_path: Path) -> None:

@@ -45,7 +45,7 @@ class AskedCompletion(msgspec.Struct, frozen=True):
     ahead: float | None = None
 
 
-class GapReason(StrEnum):
+class MissingReason(StrEnum):
     """Why messages are missing."""
 
     BEGINS_LATER, ENDS_EARLIER = "begins later", "ends earlier"
@@ -53,7 +53,7 @@ class GapReason(StrEnum):
     LOST, DAMAGED, NOT_GIVEN = "lost", "damaged", "not given"
 
 
-class Gap(msgspec.Struct, frozen=True):
+class MissingSpan(msgspec.Struct, frozen=True):
     """A time in which messages are missing that neither side has.
 
     Attributes:
@@ -61,7 +61,7 @@ class Gap(msgspec.Struct, frozen=True):
         messages: how many, or None if nobody knows.
     """
 
-    reason: GapReason
+    reason: MissingReason
     begin: Nanoseconds
     end: Nanoseconds
     messages: Count | None = None
@@ -84,7 +84,7 @@ class CompletedTopic(msgspec.Struct, frozen=True):
     only_live: Count = 0
     fetched: Count = 0
     missing: Count = 0
-    gaps: Annotated[tuple[Gap, ...], Meta(max_length=MOST_GAPS)] = ()
+    gaps: Annotated[tuple[MissingSpan, ...], Meta(max_length=MOST_GAPS)] = ()
     more_gaps: Count = 0
 
 
@@ -107,7 +107,7 @@ class CompletedClock(msgspec.Struct, frozen=True):
     spread: Count = 0
 
 
-class Completed(msgspec.Struct, frozen=True):
+class CompletedRecording(msgspec.Struct, frozen=True):
     """What is in the file, and what is missing. All times are of this side's clock.
 
     Attributes:
