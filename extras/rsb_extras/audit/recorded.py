@@ -18,7 +18,13 @@ from rsb_extras.audit.unanswered import GOAL_STATUS, SERVICE_EVENTS, SeenCalls, 
 from rsb_extras.recording.reading.defined_types import DefinitionError, defined_type
 from rsb_extras.recording.reading.recorded_qos import LATCHED, RELIABLE, parsed_profiles, policy
 from rsb_extras.recording.reading.recording_files import StoredMessages, files_of
-from rsb_extras.recording.reading.stored_message import Damage, DamageError, RecordingError, UnreadableRecording
+from rsb_extras.recording.reading.stored_message import (
+    Damage,
+    DamageError,
+    RecordingError,
+    UnreadableRecording,
+    content_key,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -121,21 +127,6 @@ def new_database() -> sqlite3.Connection:
         database.execute(f"PRAGMA {pragma}")
     database.execute("BEGIN")
     return database
-
-
-def content_key(content: bytes | memoryview, *, is_cdr: bool) -> int:
-    """Return a number of 64 bits by which messages with the same content are found.
-
-    Of CDR, the two bytes of options do not count, and neither does whether the end is padded to a multiple of 4, as
-    some middlewares do.
-    """
-    if not is_cdr or len(content) < 4:
-        made = hashlib.blake2b(content, digest_size=8)
-    else:
-        made = hashlib.blake2b(content[4:], digest_size=8, salt=content[:2])
-        if len(content) % 4:
-            made.update(bytes(-len(content) % 4))
-    return int.from_bytes(made.digest(), "little", signed=True)
 
 
 def offers_of(profiles: str) -> list[Offer]:

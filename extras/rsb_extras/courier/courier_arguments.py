@@ -16,12 +16,14 @@ _MORE = """\
 With `list`, recordings of both sides are listed, or of one link. With `get`, one of
 the other side is brought here, whole or by topics and times, over cuts and restarts
 of both bridges; Ctrl-C only ends the display. The other side's session permits
-it: may: {recordings: true}.
+it: may: {recordings: true}. With --complete, only what did not come live is fetched,
+and one file has both, each message once, on this side's clock.
 
 for example:
   rsb-console record
   rsb-console record list robot1
   rsb-console record get robot1 robot1-20260730-101500-fault /scan /tf --from -30
+  rsb-console record get robot1 robot1-20260730-101500-fault --complete /scan /tf
   rsb-console record cancel robot1-robot1-20260730-101500-fault
 """
 CHAPTER = KeyChapter(
@@ -41,4 +43,8 @@ def add_to_record(parser: argparse.ArgumentParser, complete: Complete) -> None:
     when = "a time as list prints it, or seconds from the begin, or with - from the end"
     parser.add_argument("--from", dest="begin", metavar="TIME", help=f"get: from then on; {when}")
     parser.add_argument("--to", dest="end", metavar="TIME", help="get: up to then; the same")
+    whole = "get: complete what came live on this side, which record: {disk: ...} keeps"
+    parser.add_argument("--complete", action="store_true", help=whole)
+    part = "get --complete: this recording of this side, as list prints it; default: all of this bridge"
+    parser.add_argument("--with", dest="live", metavar="RECORDING", help=part)
     parser.add_argument("--no-wait", action="store_true", help="get: end at once; the bridge goes on")

@@ -8,6 +8,7 @@ import time
 from datetime import datetime
 from typing import TYPE_CHECKING
 
+import msgspec
 from msgspec.structs import asdict
 
 from rsb_bridge.feature_api import EngineError, Wording, one_line
@@ -29,6 +30,7 @@ from rsb_console.feature_console import (
     table_lines,
 )
 from rsb_console.notation.formats import byte_count
+from rsb_extras.courier.completed_text import completed_lines
 from rsb_extras.courier.courier_records import LATEST
 from rsb_extras.courier.courier_requests import (
     LISTED_WITHIN,
@@ -61,6 +63,7 @@ class CourierCommandText(Wording):
     GET_WORDS = "record get: give a link and a recording, as `rsb-console record list` prints them"
     CANCEL_WORDS = "record cancel: give the name of one fetch"
     GET_ONLY = "record {action} takes no {option}"
+    WITH = "--with names what --complete completes: give both"
     TIME = "{option} {value}: give seconds (12.5, or -30 before the end) or a time (2026-07-30T10:15:00)"
     EMPTY = "--to is before --from"
     NO_SPAN = "{name} does not say when it begins: leave out --from and --to"
@@ -82,7 +85,13 @@ class CourierCommandText(Wording):
 def record(arguments: Namespace) -> int:
     """Write the last seconds, or do with recordings what `action` says."""
     action = arguments.action
-    options = {"--from": arguments.begin, "--to": arguments.end, "--no-wait": arguments.no_wait or None}
+    options = {
+        "--from": arguments.begin,
+        "--to": arguments.end,
+        "--complete": arguments.complete or None,
+        "--with": arguments.live,
+        "--no-wait": arguments.no_wait or None,
+    }
     given = [option for option, value in options.items() if value is not None]
     if action is None:
         if given or arguments.words:
@@ -113,7 +122,7 @@ def _list(arguments: Namespace) -> int:
         raise EngineError(problems[link])
     if arguments.json:
         listed = [{"link": group.link} | _as_data(each) for group in groups for each in newest_first(group)]
-        return done(arguments, recordings=listed, fetches=[asdict(each) for each in fetches], problems=problems)
+        return done(arguments, recordings=listed, fetches=msgspec.to_builtins(fetches), problems=problems)
     rows = [(each.name, side_of(role, group.link), *texts_of(each)) for group in groups for each in newest_first(group)]
     for line in table_lines(HEADINGS, rows) if rows else ([] if problems else [CourierCommandText.NONE()]):
         print_line(line)
@@ -169,6 +178,8 @@ def _get(arguments: Namespace) -> int:
         raise UsageError(CourierCommandText.GET_WORDS())
     link, name, *topics = arguments.words
     begin, end = _time_of("--from", arguments.begin), _time_of("--to", arguments.end)
+    if arguments.live is not None and not arguments.complete:
+        raise UsageError(CourierCommandText.WITH())
     with attached(arguments) as engine:
         first, last = 0, LATEST
         if begin is not None or end is not None:
@@ -177,7 +188,8 @@ def _get(arguments: Namespace) -> int:
             last = LATEST if end is None else end(listed)
             if last < first:
                 raise UsageError(CourierCommandText.EMPTY())
-        fetch = engine.do(FetchRecording(link, name, tuple(topics), first, last)).result(LISTED_WITHIN)
+        asked = FetchRecording(link, name, tuple(topics), first, last, arguments.complete, arguments.live or "")
+        fetch = engine.do(asked).result(LISTED_WITHIN)
         if arguments.no_wait:
             return done(arguments, CourierCommandText.BEGUN(name=fetch), fetch=fetch)
         return _wait(engine, arguments, fetch)
@@ -240,11 +252,14 @@ def bar_text(fetch: FetchReport) -> str:
 def _tell(engine: RemoteEngine, arguments: Namespace, fetch: FetchReport) -> int:
     is_done = fetch.state is FetchState.DONE
     if arguments.json:
-        data = asdict(fetch)
+        data = msgspec.structs.asdict(fetch) | {"completed": msgspec.to_builtins(fetch.completed)}
         print_line(json_line({"ok": is_done} | ({} if is_done else {"error": fetch.reason}) | data))
     elif is_done:
         text = CourierCommandText.DONE if engine.trusted else CourierCommandText.DONE_THERE
         print_line(done_text(fetch, text))
+        if fetch.completed is not None:
+            for line in completed_lines(fetch.completed):
+                print_line(line)
     else:
         print_error(CourierCommandText.FAILED(name=fetch.name, reason=fetch.reason))
     return OK if is_done else FAILURE

@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import asyncio
 import errno
+import os
 from collections import deque
-from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
+
+from msgspec.structs import replace
 
 from rsb_bridge.feature_api import (
     TEXT_LENGTH,
@@ -21,10 +23,13 @@ from rsb_bridge.feature_api import (
     link_named,
     operator,
     sanitize_text,
+    state_folder,
     why_not_written,
 )
 from rsb_extras.courier import RECORDINGS_KEY
-from rsb_extras.courier.courier_records import ListedRecording, Wanted
+from rsb_extras.courier.completed_recording import AskedCompletion, CompletedName
+from rsb_extras.courier.completion_spool import CompletionSpool
+from rsb_extras.courier.courier_records import LATEST, ListedRecording, Wanted
 from rsb_extras.courier.courier_requests import (
     CancelFetch,
     FetchRecording,
@@ -34,17 +39,19 @@ from rsb_extras.courier.courier_requests import (
     ListRecordings,
     RecordingGroup,
 )
-from rsb_extras.courier.fetch_spool import SPOOL, AskedFetch, FetchSpool
+from rsb_extras.courier.fetch_spool import SPOOL, AskedFetch, FetchSpool, Spool, load_asked
 from rsb_extras.courier.kept_recordings import FetchError, KeptRecordings
 from rsb_extras.courier.link_courier import CourierCode, LinkCourier
+from rsb_extras.courier.live_parts import named, overlapping, own_files
 from rsb_extras.courier.pieces import PieceError
 from rsb_extras.recording.mcap_file import McapError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
     from rsb_bridge.feature_api import Bridge, Link, Snapshot
+    from rsb_extras.courier.live_parts import LivePart
 
 MOST_FETCHES = 16
 """Under way or waiting. A round figure: one of a link comes after the other."""
@@ -91,14 +98,14 @@ class Fetch:
         pause: s from the last attempt to that.
     """
 
-    def __init__(self, spool: FetchSpool, now: float) -> None:
+    def __init__(self, spool: Spool, now: float) -> None:
         self.spool = spool
         self.state = FetchState.WAITING
         self.reason = ""
         self.again_at, self.pause = now, _AGAIN_AFTER / 2
         self.messages = 0
         self.task: asyncio.Task[None] | None = None
-        self._progress = deque([_Progress(now, spool.taken, self.share)])
+        self._progress = deque([_Progress(now, spool.taken, spool.share)])
 
     @property
     def asked(self) -> AskedFetch:
@@ -108,23 +115,14 @@ class Fetch:
     def is_over(self) -> bool:
         return self.state in (FetchState.DONE, FetchState.FAILED)
 
-    @property
-    def share(self) -> float:
-        """The part of the span that has come, by the time of its messages."""
-        wanted, listed = self.asked.wanted, self.asked.listed
-        begin, end = max(wanted.begin, listed.begin), min(wanted.end, listed.end)
-        if self.spool.is_whole:
-            return 1.0
-        return min(max(0.0, (self.spool.at.time - begin) / (end - begin)), 1.0) if end > begin else 0.0
-
     def count(self, now: float) -> None:
         """Remember how far it is at `now` (s)."""
-        self._progress.append(_Progress(now, self.spool.taken, self.share))
+        self._progress.append(_Progress(now, self.spool.taken, self.spool.share))
         while self._progress[0].at < now - _RATE_OVER:
             self._progress.popleft()
 
     def report(self, now: float) -> FetchReport:
-        first, share, taken = self._progress[0], self.share, self.spool.taken
+        first, share, taken = self._progress[0], self.spool.share, self.spool.taken
         seconds, is_done = now - first.at, self.state is FetchState.DONE
         runs = self.state is FetchState.FETCHING and seconds > 0
         gained = share - first.share
@@ -133,6 +131,7 @@ class Fetch:
             rate=max(0.0, (taken - first.taken) / seconds) if runs else 0.0,
             rest=min((1.0 - share) / gained * seconds, 1e9) if runs and gained > 0 else None,
             messages=self.messages, path=str(self.spool.path) if is_done else "", reason=sanitize_text(self.reason),
+            completed=self.spool.completed if is_done else None,
         )  # fmt: skip
 
 
@@ -191,13 +190,22 @@ class CourierPart(EnginePart):
             await asyncio.shield(self._loading)
         async with self._asking:  # names are given one after the other
             listed = _chosen(command, await link.extensions.find(LinkCourier).recordings())
-            wanted = _wanted(command, listed)
+            if command.completes:
+                completes, wanted = _completed(command, link, listed)
+            else:
+                completes, wanted = None, _wanted(command, listed)
             for fetch in self._fetches.values():
-                if not fetch.is_over and fetch.asked.link == link.name and fetch.asked.wanted == wanted:
+                asked = fetch.asked
+                if not fetch.is_over and (asked.link, asked.wanted, asked.completes) == (link.name, wanted, completes):
                     return fetch.asked.name
             if sum(not each.is_over for each in self._fetches.values()) >= MOST_FETCHES:
                 raise LinkError(FetchProblem.TOO_MANY(most=MOST_FETCHES))
-            spool = await self._new_spool(link, listed, wanted)
+            parts: Sequence[LivePart] = ()
+            if completes is not None:
+                parts = await asyncio.to_thread(self._live, command, listed, completes)
+            who = sanitize_text(operator(), TEXT_LENGTH)
+            asked = AskedFetch("", self._owner, link.name, listed, wanted, who, completes)
+            spool = await self._new_spool(asked, parts)
             name = spool.asked.name
             self._fetches[name] = Fetch(spool, self._context.now())
         self._log(CourierCode.ASKED, spool.asked, f"asked for by {spool.asked.who}")
@@ -207,15 +215,21 @@ class CourierPart(EnginePart):
         self._go_on()
         return name
 
-    async def _new_spool(self, link: Link, listed: ListedRecording, wanted: Wanted) -> FetchSpool:
-        stem = file_stem(f"{link.name}-{listed.name.removesuffix('.mcap').removesuffix('.db3')}")
-        who = sanitize_text(operator(), TEXT_LENGTH)
+    def _live(self, command: FetchRecording, listed: ListedRecording, completes: AskedCompletion) -> Sequence[LivePart]:
+        """Return what came live of a span, on any thread; raises LinkError."""
+        if command.live:
+            return named(self._kept.of_this_side(), command.live)
+        behind = round((completes.ahead or 0.0) * 1e9)
+        own = (each for each in self._kept.own() if each.id != listed.id)
+        files = own_files(state_folder(os.environ), self._context.session, own)
+        names = [each.here for each in completes.topics]
+        return overlapping(files, names, completes.begin - behind, completes.end - behind)
+
+    async def _new_spool(self, asked: AskedFetch, parts: Sequence[LivePart]) -> Spool:
+        folder = self._kept.fetched
         try:
-            return await asyncio.to_thread(
-                _new_spool, self._kept.fetched, stem, partial(_asked, self._owner, link.name, listed, wanted, who)
-            )
+            return await asyncio.to_thread(_new_spool, folder, asked, parts)
         except OSError as error:
-            folder = self._kept.fetched
             reason = why_not_written(error, folder)
             raise LinkError(FetchProblem.NOT_WRITTEN(path=error.filename or folder, reason=reason)) from None
 
@@ -261,12 +275,16 @@ class CourierPart(EnginePart):
     async def _attempt(self, fetch: Fetch, link: Link) -> None:
         """Get as much as comes, and write the file once all is there."""
         courier, spool, taken = link.extensions.find(LinkCourier), fetch.spool, fetch.spool.taken
+
+        def stop() -> bool:
+            return self._stopping or fetch.is_over
+
         try:
-            if not spool.is_whole:
+            while (row := await asyncio.to_thread(spool.next_row, stop)) is not None:
                 fetch.state, fetch.reason = FetchState.FETCHING, ""
-                await courier.receive(spool)
+                await courier.receive(row)
             fetch.state, fetch.reason = FetchState.WRITING, ""
-            fetch.messages = await asyncio.to_thread(spool.write, lambda: self._stopping or fetch.is_over)
+            fetch.messages = await asyncio.to_thread(spool.write, stop)
         except LinkError as error:
             fetch.pause = _AGAIN_AFTER if spool.taken > taken else min(2 * fetch.pause, _LONGEST_PAUSE)
             self._wait(fetch, str(error), fetch.pause)
@@ -308,6 +326,8 @@ class CourierPart(EnginePart):
             task.cancel()
         if tasks:
             await asyncio.wait(tasks)
+        for fetch in self._fetches.values():
+            await asyncio.to_thread(fetch.spool.close)
 
 
 def _chosen(command: FetchRecording, listed: tuple[ListedRecording, ...]) -> ListedRecording:
@@ -339,19 +359,50 @@ def _wanted(command: FetchRecording, listed: ListedRecording) -> Wanted:
     return Wanted(listed.id, listed.stamp, topics, command.begin, command.end)
 
 
-def _asked(owner: str, link: str, listed: ListedRecording, wanted: Wanted, who: str, name: str) -> AskedFetch:
-    return AskedFetch(name, owner, link, listed, wanted, who)
+def _completed(command: FetchRecording, link: Link, listed: ListedRecording) -> tuple[AskedCompletion, Wanted]:
+    """Return what completes what came live: topics that the recording has not are looked for on this side only."""
+    routes = [route for route in link.routes.values() if route.purpose.is_shown]
+    far_names = {route.local_topic: route.far_topic for route in routes}
+    near_names = {route.far_topic: (route.local_topic, not route.outgoing) for route in routes}
+    there = [far_names.get(topic, topic) for topic in command.topics] or [each.name for each in listed.topics]
+    if not command.topics:
+        _wanted(command, listed)  # with the reason why there are none, or too many
+    topics = [CompletedName(topic, *near_names.get(topic, (topic, True))) for topic in dict.fromkeys(there)]
+    begin = command.begin or listed.begin
+    end = listed.end or LATEST if command.end == LATEST else command.end
+    if begin > end or (listed.end and begin > listed.end) or end < listed.begin:
+        raise LinkError(FetchProblem.SPAN(name=listed.name, seconds=(listed.end - listed.begin) / 1e9))
+    ahead = link.clock.offset
+    wanted = Wanted(listed.id, listed.stamp, tuple(each.there for each in topics), begin, end, heads=True)
+    is_open = bool(command.live) and (command.begin, command.end) == (0, LATEST)
+    return AskedCompletion(tuple(topics), begin, end, is_open, ahead), wanted
 
 
-def _new_spool(folder: Path, stem: str, asked: partial[AskedFetch]) -> FetchSpool:
+def _new_spool(folder: Path, asked: AskedFetch, parts: Sequence[LivePart]) -> Spool:
     """Return a new spool by a name that nothing has yet."""
+    end = "" if asked.completes is None else "-completed"
+    name = asked.listed.name.removesuffix(".mcap").removesuffix(".db3")
+    stem = file_stem(f"{asked.link}-{name}") + end
     for number in range(1, 1000):
         name = stem if number == 1 else f"{stem}-{number}"
-        if not (folder / f"{name}.mcap").exists() and not (folder / f".{name}{SPOOL}").exists():
-            return FetchSpool.new(folder, asked(name))
+        if not (folder / f"{name}.mcap").exists() and not _spool_folder(folder, name).exists():
+            asked = replace(asked, name=name)
+            if asked.completes is None:
+                return FetchSpool(_spool_folder(folder, name), asked).make()
+            return CompletionSpool(_spool_folder(folder, name), asked, parts).make()
     raise FileExistsError(errno.EEXIST, "has too many files of this name: move or remove some", str(folder / stem))
 
 
-def _spools(folder: Path, owner: str, stop: Callable[[], bool]) -> list[FetchSpool]:
-    found = (FetchSpool.load(each, stop) for each in sorted(folder.glob(f".*{SPOOL}")))
-    return [each for each in found if each is not None and each.asked.owner == owner]
+def _spool_folder(folder: Path, name: str) -> Path:
+    return folder / f".{name}{SPOOL}"
+
+
+def _spools(folder: Path, owner: str, stop: Callable[[], bool]) -> list[Spool]:
+    found: list[Spool] = []
+    for each in sorted(folder.glob(f".*{SPOOL}")):
+        asked = load_asked(each)
+        if asked is not None and asked.owner == owner and not stop():
+            spool = FetchSpool(each, asked) if asked.completes is None else CompletionSpool(each, asked)
+            spool.rows[0].load(stop)
+            found.append(spool)
+    return found

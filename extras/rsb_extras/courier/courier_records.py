@@ -12,6 +12,8 @@ from rsb_bridge.wire.records import Nanoseconds
 
 MOST_TOPICS = 256
 """Of a recording that is listed or got at once. A round figure: a large robot has some 200."""
+MOST_SPANS = 4096
+"""Of an order. A round figure: 32 kB of control messages, each as long as the head of a message that it asks for."""
 MOST_RECORDINGS = 512
 """Of a side; the newest ones. A round figure."""
 PAGE = 16
@@ -72,12 +74,28 @@ class Cursor(msgspec.Struct, frozen=True, array_like=True, order=True):
     offset: Count = 0
 
 
+class WantedSpan(msgspec.Struct, frozen=True, array_like=True):
+    """Messages of one topic that follow each other.
+
+    Attributes:
+        topic: its place in `Wanted.topics`.
+        after: ns from the begin of the span before, or of all that is wanted.
+        length: ns from the first message to the last.
+    """
+
+    topic: Annotated[int, Meta(ge=0, lt=MOST_TOPICS)]
+    after: Nanoseconds
+    length: Nanoseconds = 0
+
+
 class Wanted(msgspec.Struct, frozen=True, omit_defaults=True):
     """Some messages of a recording.
 
     Attributes:
         topics: their names, in any order.
         begin: ns since the epoch, the first time that counts, and `end` the last one.
+        heads: whether a `rsb_extras.courier.picking.head_of` stands in place of each content.
+        spans: the only ones that count, by their begins, or none if all do.
     """
 
     recording: RecordingId
@@ -85,3 +103,5 @@ class Wanted(msgspec.Struct, frozen=True, omit_defaults=True):
     topics: Annotated[tuple[Name, ...], Meta(min_length=1, max_length=MOST_TOPICS)]
     begin: Nanoseconds = 0
     end: Nanoseconds = LATEST
+    heads: bool = False
+    spans: Annotated[tuple[WantedSpan, ...], Meta(max_length=MOST_SPANS)] = ()

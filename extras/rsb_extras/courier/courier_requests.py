@@ -10,6 +10,7 @@ from msgspec import Meta
 
 from rsb_bridge.feature_api import TEXT_LENGTH, Command, Count, Effect, Name, Reason, Right, Seconds, sanitize_text
 from rsb_bridge.wire.records import Nanoseconds, Share
+from rsb_extras.courier.completed_recording import CompletedRecording
 from rsb_extras.courier.courier_records import LATEST, MOST_RECORDINGS, ListedRecording, TopicNames
 
 LISTED_WITHIN = 60.0
@@ -47,6 +48,7 @@ class FetchReport(msgspec.Struct, frozen=True, omit_defaults=True):
         rest: s that it still takes at this rate, or None if nobody knows.
         path: of the file, once it is written.
         reason: why it waits or has failed, or empty.
+        completed: what is in the file, of one that completes what came live and is done.
     """
 
     name: Name
@@ -60,6 +62,7 @@ class FetchReport(msgspec.Struct, frozen=True, omit_defaults=True):
     messages: Count = 0
     path: Annotated[str, Meta(max_length=_PATH)] = ""
     reason: Reason = ""
+    completed: CompletedRecording | None = None
 
 
 class ListRecordings(Command[tuple[RecordingGroup, ...]], frozen=True, tag="list_recordings"):
@@ -79,6 +82,8 @@ class FetchRecording(Command[str], frozen=True, tag="fetch_recording"):
         recording: its id or its name.
         topics: those to get, or none for all.
         begin: ns since the epoch on the other side's clock, and `end` the last one that counts.
+        completes: whether it completes what came live; topics then have their names of either side.
+        live: the recording of this side that is completed, by its id or name, or empty for all that this bridge has.
     """
 
     always = Effect.HARMLESS  # a new file beside others
@@ -89,6 +94,8 @@ class FetchRecording(Command[str], frozen=True, tag="fetch_recording"):
     topics: TopicNames = ()
     begin: Nanoseconds = 0
     end: Nanoseconds = LATEST
+    completes: bool = False
+    live: str = ""
 
     def checked(self, result: str) -> str:
         return sanitize_text(result, TEXT_LENGTH)

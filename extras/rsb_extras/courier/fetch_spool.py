@@ -5,16 +5,19 @@ from __future__ import annotations
 import errno
 import shutil
 import threading
+from abc import ABC, abstractmethod
 from itertools import count, islice
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import msgspec
 
 from rsb_bridge.config.files import UNFINISHED, is_there
 from rsb_bridge.feature_api import Count, Name, Wording, make_folder, replace_file
+from rsb_extras.courier.completed_recording import AskedCompletion
 from rsb_extras.courier.courier_records import Cursor, ListedRecording, Wanted
 from rsb_extras.courier.pieces import (
     MOST_CHANNELS,
+    Channels,
     Joiner,
     Piece,
     PieceError,
@@ -27,10 +30,14 @@ from rsb_extras.recording.reading.open_recording import summary_of
 from rsb_extras.recording.reading.stored_message import RecordingError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
+    from typing import Self
 
+    from rsb_extras.courier.completed_recording import CompletedRecording
     from rsb_extras.recording.reading.stored_message import StoredMessage
+
+_T = TypeVar("_T")
 
 SPOOL = ".fetch"
 """The end of the name of a fetch's folder; it begins with a dot."""
@@ -55,6 +62,7 @@ class AskedFetch(msgspec.Struct, frozen=True):
         name: of the fetch, and of the file without its suffix.
         owner: role and name of the session.
         who: the operator.
+        completes: what is completed, or None if all that is wanted is got.
     """
 
     name: str
@@ -63,10 +71,16 @@ class AskedFetch(msgspec.Struct, frozen=True):
     listed: ListedRecording
     wanted: Wanted
     who: str = ""
+    completes: AskedCompletion | None = None
 
 
-class FetchSpool:
-    """The folder of a fetch. Its methods are for any thread: one that was given up may still be at work.
+class PieceRow:
+    """Pieces of one order in a folder. Its methods are for any thread: one that was given up may still be at work.
+
+    Args:
+        size: bytes of the recording.
+        working: of the fetch.
+        channels: of rows before it, which need not cross again.
 
     Attributes:
         at: where the next piece begins.
@@ -74,43 +88,33 @@ class FetchSpool:
         taken: bytes of the pieces.
         is_whole: whether nothing is missing.
         damage: why the rest of the recording could not be read, or empty.
+        denied: topics that this side may not read.
     """
 
-    def __init__(self, folder: Path, asked: AskedFetch) -> None:
-        self.folder, self.asked = folder, asked
-        self.at = Cursor(asked.wanted.begin)
-        self.known: set[bytes] = set()
+    def __init__(
+        self, folder: Path, wanted: Wanted, size: int, working: threading.RLock, channels: Channels | None = None
+    ) -> None:
+        self.folder, self.wanted = folder, wanted
+        self._size = size
+        self._channels = channels or {}
+        self.at = Cursor(wanted.begin)
+        self.known: set[bytes] = {*self._channels}
         self.taken: Count = 0
         self.is_whole = False
         self.damage = ""
+        self.denied: tuple[str, ...] = ()
         self._pieces = 0
-        self._working = threading.RLock()
+        self._working = working
 
-    @classmethod
-    def new(cls, parent: Path, asked: AskedFetch) -> FetchSpool:
-        """Make a folder; raises OSError."""
-        folder = parent / f".{asked.name}{SPOOL}"
-        make_folder(parent, 0o700)
-        folder.mkdir(0o700)
-        replace_file(folder / _ASKED, msgspec.json.encode(asked))
-        return cls(folder, asked)
-
-    @classmethod
-    def load(cls, folder: Path, stop: Callable[[], bool]) -> FetchSpool | None:
-        """Return the fetch of a folder with the pieces that are whole, or None if it is none, or told to stop."""
+    def load(self, stop: Callable[[], bool]) -> None:
+        """Take up the pieces that are whole, unless told to stop."""
         try:
-            asked = msgspec.json.decode((folder / _ASKED).read_bytes(), type=AskedFetch)
-        except (OSError, msgspec.DecodeError, UnicodeDecodeError):
-            return None
-        spool = cls(folder, asked)
-        try:
-            for data in spool._read():
+            for data in self._read():
                 if stop():
-                    return None
-                spool._count(decode_piece(data), len(data))
+                    return
+                self._count(decode_piece(data), len(data))
         except (PieceError, OSError):  # the disk has lost a part of it: it is got again
             pass
-        return spool
 
     def _read(self) -> Iterator[bytes]:
         for number in count(1):
@@ -126,7 +130,7 @@ class FetchSpool:
         self.known.update(piece.content().channels)
         if len(self.known) > MOST_CHANNELS:
             raise PieceError(PieceProblem.TOO_MANY_CHANNELS(most=MOST_CHANNELS))
-        self.at, self.is_whole, self.damage = piece.end, piece.is_last, piece.damage
+        self.at, self.is_whole, self.damage, self.denied = piece.end, piece.is_last, piece.damage, piece.denied
         self.taken += size
         self._pieces += 1
 
@@ -137,28 +141,94 @@ class FetchSpool:
             PieceError: it is not the next one, or holds what no recording has.
             OSError: it cannot be written.
         """
-        if self.taken > _TIMES_LARGER * self.asked.listed.size + _MORE:
+        if self.taken > _TIMES_LARGER * self._size + _MORE:
             raise PieceError(SpoolProblem.TOO_MUCH())
         with self._working:
-            self._check_room()
+            check_room(self.folder)
             check_follows(piece, self.at)
             self._path(self._pieces + 1).write_bytes(data)
             self._count(piece, len(data))
 
-    def _check_room(self, wanted: int = 0) -> None:
-        """Raise OSError if so many bytes leave less than has to stay free."""
-        if shutil.disk_usage(self.folder).free < _LEFT_FREE + wanted:
-            problem = SpoolProblem.DISK_FULL(folder=self.folder.parent, least=(_LEFT_FREE + wanted) / 1e9)
-            raise OSError(errno.ENOSPC, problem)
-
     def messages(self) -> Iterator[StoredMessage]:
         """Yield all messages of the pieces, in their order; raises `PieceError`, OSError."""
-        wanted = self.asked.wanted
-        joiner = Joiner(wanted.topics, wanted.begin, wanted.end)
+        joiner = Joiner(self.wanted.topics, self.wanted.begin, self.wanted.end, self._channels)
         for data in islice(self._read(), self._pieces):
-            self._check_room()
+            check_room(self.folder)
             yield from joiner.add(decode_piece(data).content())
         joiner.finish()
+
+    def share(self, listed: ListedRecording) -> float:
+        """Return the part of the span that has come, by the time of its messages."""
+        begin, end = max(self.wanted.begin, listed.begin), min(self.wanted.end, listed.end)
+        if self.is_whole:
+            return 1.0
+        return min(max(0.0, (self.at.time - begin) / (end - begin)), 1.0) if end > begin else 0.0
+
+    def channels(self) -> Channels:
+        """Return those that have come, by their ids; raises `PieceError`, OSError."""
+        found = dict(self._channels)
+        for data in islice(self._read(), self._pieces):
+            found.update(decode_piece(data).content().channels)
+        return found
+
+
+def check_room(folder: Path, wanted: int = 0) -> None:
+    """Raise OSError if so many bytes leave less than has to stay free."""
+    if shutil.disk_usage(folder).free < _LEFT_FREE + wanted:
+        problem = SpoolProblem.DISK_FULL(folder=folder.parent, least=(_LEFT_FREE + wanted) / 1e9)
+        raise OSError(errno.ENOSPC, problem)
+
+
+class Spool(ABC):
+    """The folder of a fetch. Its methods are for any thread: one that was given up may still be at work.
+
+    Attributes:
+        completed: what is in the file, once it is written, of a fetch that completes something; or None.
+    """
+
+    def __init__(self, folder: Path, asked: AskedFetch) -> None:
+        self.folder, self.asked = folder, asked
+        self.completed: CompletedRecording | None = None
+        self._working = threading.RLock()
+
+    def make(self) -> Self:
+        """Make the folder; raises OSError."""
+        make_folder(self.folder.parent, 0o700)
+        self.folder.mkdir(0o700)
+        try:
+            self._prepare()
+            replace_file(self.folder / _ASKED, msgspec.json.encode(self.asked))
+        except BaseException:
+            self.remove()
+            raise
+        return self
+
+    def _prepare(self) -> None:  # noqa: B027 -- a plain fetch needs nothing
+        """Put into the folder what has to be there beside the pieces; raises OSError."""
+
+    @property
+    @abstractmethod
+    def rows(self) -> Sequence[PieceRow]:
+        """Those of which pieces have come, or are to come next."""
+
+    @property
+    @abstractmethod
+    def share(self) -> float:
+        """The part that has come."""
+
+    @property
+    def taken(self) -> int:
+        """Bytes of all pieces."""
+        return sum(row.taken for row in self.rows)
+
+    @property
+    def damage(self) -> str:
+        """The reason why the rest of the recording could not be read, or an empty text."""
+        return self.rows[0].damage
+
+    @abstractmethod
+    def next_row(self, stop: Callable[[], bool]) -> PieceRow | None:
+        """Return the pieces to get next, or None if all have come; raises as `write`."""
 
     def write(self, stop: Callable[[], bool]) -> int:
         """Write the file of all pieces, unless told to stop, and remove them; return the number of messages.
@@ -172,21 +242,51 @@ class FetchSpool:
         with self._working:
             if stop():  # before it began
                 raise InterruptedError
-            return self._write(stop)
-
-    def _write(self, stop: Callable[[], bool]) -> int:
-        path = self.path
-        path.with_name(f".{path.name}{UNFINISHED}").unlink(missing_ok=True)  # of a bridge that was killed
-        if is_there(path) and (count := self._written()):
+            self.path.with_name(f".{self.path.name}{UNFINISHED}").unlink(missing_ok=True)  # of a bridge that was killed
+            count = self._write(stop)
             self.remove()
             return count
-        self._check_room(self.taken)
-        with new_recording(path) as recording:
-            for message in self.messages():
+
+    @abstractmethod
+    def _write(self, stop: Callable[[], bool]) -> int: ...
+
+    @property
+    def path(self) -> Path:
+        return self.folder.parent / f"{self.asked.name}.mcap"
+
+    def close(self) -> None:  # noqa: B027 -- a plain fetch has nothing open
+        """Release what is open; the folder stays."""
+
+    def remove(self) -> None:
+        with self._working:
+            shutil.rmtree(self.folder, ignore_errors=True)
+
+
+class FetchSpool(Spool):
+    """The folder of a fetch of all that is wanted."""
+
+    def __init__(self, folder: Path, asked: AskedFetch) -> None:
+        super().__init__(folder, asked)
+        self.row = PieceRow(folder, asked.wanted, asked.listed.size, self._working)
+
+    @property
+    def rows(self) -> Sequence[PieceRow]:
+        return (self.row,)
+
+    @property
+    def share(self) -> float:
+        return self.row.share(self.asked.listed)
+
+    def next_row(self, stop: Callable[[], bool]) -> PieceRow | None:
+        return None if self.row.is_whole else self.row
+
+    def _write(self, stop: Callable[[], bool]) -> int:
+        if is_there(self.path) and (count := self._written()):
+            return count
+        check_room(self.folder, self.taken)
+        with new_recording(self.path) as recording:
+            for message in until(self.row.messages(), stop):
                 recording.copy(message)
-                if stop():
-                    raise InterruptedError
-        self.remove()
         return recording.messages
 
     def _written(self) -> int:
@@ -195,12 +295,20 @@ class FetchSpool:
             count = summary_of(self.path).messages
         except RecordingError:
             return 0
-        return count if count == sum(1 for _ in self.messages()) else 0
+        return count if count == sum(1 for _ in self.row.messages()) else 0
 
-    @property
-    def path(self) -> Path:
-        return self.folder.parent / f"{self.asked.name}.mcap"
 
-    def remove(self) -> None:
-        with self._working:
-            shutil.rmtree(self.folder, ignore_errors=True)
+def until(messages: Iterator[_T], stop: Callable[[], bool]) -> Iterator[_T]:
+    """Yield all; raises InterruptedError once told to stop."""
+    for message in messages:
+        if stop():
+            raise InterruptedError
+        yield message
+
+
+def load_asked(folder: Path) -> AskedFetch | None:
+    """Return what a fetch's folder was made for, or None if it is none."""
+    try:
+        return msgspec.json.decode((folder / _ASKED).read_bytes(), type=AskedFetch)
+    except (OSError, msgspec.DecodeError, UnicodeDecodeError):
+        return None

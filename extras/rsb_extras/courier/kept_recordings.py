@@ -158,6 +158,14 @@ class KeptRecordings:
                 return kept
         raise FetchError(KeptProblem.GONE())
 
+    def of_this_side(self) -> Iterator[Kept]:
+        """Yield all recordings of this side, also those that were fetched, on any thread."""
+        return self._found(fetched=True)
+
+    def own(self) -> Iterator[Kept]:
+        """Yield the bridge's own recordings, on any thread."""
+        return (kept for kept in self._found(fetched=False) if kept.path.parent == self.recorded)
+
     def _found(self, *, fetched: bool) -> Iterator[Kept]:
         folders = [self.recorded, *map(Path, RECORDINGS_KEY.of(self._context.session).folders)]
         if fetched:

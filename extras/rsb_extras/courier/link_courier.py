@@ -40,6 +40,7 @@ from rsb_extras.courier.courier_messages import (
 )
 from rsb_extras.courier.courier_records import MOST_RECORDINGS, PAGE
 from rsb_extras.courier.kept_recordings import FetchError, KeptProblem, KeptRecordings, may_read
+from rsb_extras.courier.picking import picked
 from rsb_extras.courier.pieces import Cutter, Piece, PieceError, PieceProblem, decode_piece, encode_piece
 from rsb_extras.courier.slices import SLICE_HEAD, Pace, SliceJoiner
 from rsb_extras.recording.reading.open_recording import OpenRecording
@@ -51,7 +52,7 @@ if TYPE_CHECKING:
     from rsb_bridge.feature_api import Link, Rights, Route
     from rsb_bridge.model.session import Direction
     from rsb_extras.courier.courier_records import ListedRecording
-    from rsb_extras.courier.fetch_spool import FetchSpool
+    from rsb_extras.courier.fetch_spool import PieceRow
     from rsb_extras.courier.kept_recordings import Kept
 
 _LISTED_WITHIN = 30.0
@@ -87,6 +88,7 @@ class CourierProblem(Wording):
     NOT_ALLOWED = "{owner} does not let {peer} get recordings: add may: {{recordings: true}} {where}"
     NO_TOPIC = "{owner} does not let {peer} read {topic}"
     NO_SENDING = "{owner} takes no recording from {peer}: the side that gets it proposes the route"
+    RIGHTS = "the rights of this side have changed over there meanwhile: get it again"
     ONE_ROUTE = "recordings have a route already"
     NO_ROUTE = "this route carries no recordings"
     TOO_OFTEN = "a recording was asked for {most} times within {seconds:g} s: wait"
@@ -234,22 +236,22 @@ class LinkCourier(AskingExtension):
         order = sending.order
         try:
             source = await self._source(order.route)
-            self._check(order)
+            topics = self._allowed(order)
             wanted = order.wanted
             kept = await asyncio.to_thread(self._kept.find, wanted.recording, wanted.stamp)
-            cutter = await self._cutter(order, kept)
+            cutter = await self._cutter(order, topics, kept)
             self._log(kept, begins=True)
-            await self._send_pieces(sending, source, cutter, kept)
+            await self._send_pieces(sending, source, cutter, topics, kept)
         except LinkError as error:
             self._end_run(order.run, str(error), is_final=False)
         except FetchError as error:
             self._end_run(order.run, str(error), is_final=True)
 
-    async def _cutter(self, order: BeginPieces, kept: Kept) -> Cutter:
+    async def _cutter(self, order: BeginPieces, topics: tuple[str, ...], kept: Kept) -> Cutter:
         """Find the place in a recording, one order after the other: of one that was given up, the thread goes on."""
         while self._finding is not None and not self._finding.done():
             await asyncio.wait((self._finding,))
-        finding = self._finding = self._context.loop.run_in_executor(None, _cutter, order, kept)
+        finding = self._finding = self._context.loop.run_in_executor(None, _cutter, order, topics, kept)
         finding.add_done_callback(lambda done: done.cancelled() or done.exception())  # nobody may wait by then
         await asyncio.wait((finding,))
         return finding.result()
@@ -263,21 +265,26 @@ class LinkCourier(AskingExtension):
             raise LinkError(CourierProblem.NO_ROUTE())
         return source
 
-    def _check(self, order: BeginPieces) -> None:
-        """Raise `FetchError` if the peer may not have what it asks for."""
+    def _allowed(self, order: BeginPieces) -> tuple[str, ...]:
+        """Return the wanted topics that the peer may read; raises `FetchError` if it must not ask for the others."""
         rights = self._link.end.rights
         if not MAY_FETCH.of(rights):
             raise FetchError(self._no_right(rights))
-        for topic in order.wanted.topics:
-            if not may_read(rights, topic):
-                raise FetchError(CourierProblem.NO_TOPIC(owner=rights.owner, peer=rights.peer, topic=topic))
+        allowed = tuple(topic for topic in order.wanted.topics if may_read(rights, topic))
+        denied = next((topic for topic in order.wanted.topics if topic not in allowed), None)
+        if denied is not None and not order.wanted.heads:
+            raise FetchError(CourierProblem.NO_TOPIC(owner=rights.owner, peer=rights.peer, topic=denied))
+        return allowed
 
-    async def _send_pieces(self, sending: _Sending, source: BytesSource, cutter: Cutter, kept: Kept) -> None:
+    async def _send_pieces(
+        self, sending: _Sending, source: BytesSource, cutter: Cutter, topics: tuple[str, ...], kept: Kept
+    ) -> None:
         is_last = False
         while not is_last:
             await sending.until(lambda: sending.given < sending.taken + WINDOW)
             piece = await asyncio.to_thread(_next_piece, cutter, kept)
-            self._check(sending.order)  # a reload may have taken the right away
+            if self._allowed(sending.order) != topics:  # a reload may have taken a right away
+                raise FetchError(CourierProblem.RIGHTS())
             if await asyncio.to_thread(kept.has_changed):
                 raise FetchError(KeptProblem.CHANGED())
             sending.given, is_last = piece.number, piece.is_last
@@ -334,8 +341,8 @@ class LinkCourier(AskingExtension):
         if not self._peer_has:
             raise LinkError(CourierProblem.NOT_THERE(link=self._link.name))
 
-    async def receive(self, spool: FetchSpool) -> None:
-        """Get what is missing of a recording; one at a time.
+    async def receive(self, row: PieceRow) -> None:
+        """Get what is missing of a row of pieces; one at a time.
 
         Raises:
             LinkError: the link was lost, or the peer cannot give it now. What has come is kept.
@@ -347,12 +354,12 @@ class LinkCourier(AskingExtension):
         self._run += 1
         receiving = self._receiving = _Receiving(self._run)
         try:
-            order = BeginPieces(self._run, route.id, spool.asked.wanted, spool.at, tuple(sorted(spool.known)))
+            order = BeginPieces(self._run, route.id, row.wanted, row.at, tuple(sorted(row.known)))
             self._link.send(order)
-            while not spool.is_whole:
+            while not row.is_whole:
                 data = await self._arrival(receiving, route, order)
                 piece = decode_piece(data)
-                await asyncio.to_thread(spool.add, piece, data)
+                await asyncio.to_thread(row.add, piece, data)
                 receiving.taken += 1
                 self._tell(receiving)
         except PieceError as error:
@@ -437,13 +444,12 @@ class LinkCourier(AskingExtension):
             self._receiving.end((FetchError if ended.is_final else LinkError)(ended.problem))
 
 
-def _cutter(order: BeginPieces, kept: Kept) -> Cutter:
+def _cutter(order: BeginPieces, topics: tuple[str, ...], kept: Kept) -> Cutter:
     wanted = order.wanted
     with _read_for_peer(kept):
-        messages = OpenRecording(kept.path).messages(
-            topics=frozenset(wanted.topics), begin=max(wanted.begin, order.at.time), end=wanted.end + 1
-        )
-        return Cutter(order.run, messages, order.at, order.known)
+        messages = picked(OpenRecording(kept.path), wanted, topics, order.at.time)
+        denied = tuple(sorted({*wanted.topics} - {*topics}))
+        return Cutter(order.run, messages, order.at, order.known, denied)
 
 
 def _next_piece(cutter: Cutter, kept: Kept) -> Piece:

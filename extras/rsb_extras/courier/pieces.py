@@ -15,7 +15,7 @@ import zstandard
 from msgspec import Meta
 
 from rsb_bridge.feature_api import TEXT_LENGTH, Count, Name, Reason, Wording, sanitize_text
-from rsb_extras.courier.courier_records import Cursor
+from rsb_extras.courier.courier_records import Cursor, TopicNames
 from rsb_extras.recording.reading.stored_message import LONGEST, DamageError, StoredChannel, StoredMessage
 
 if TYPE_CHECKING:
@@ -104,6 +104,7 @@ class Piece(msgspec.Struct, frozen=True, array_like=True):
         is_last: whether none follows.
         packed: its `PieceContent`, by zstd.
         damage: of the last piece: why the rest of the recording is not read, or empty.
+        denied: of the last piece of heads: wanted topics that the asker may not read.
     """
 
     run: Count
@@ -113,6 +114,7 @@ class Piece(msgspec.Struct, frozen=True, array_like=True):
     is_last: bool
     packed: Annotated[bytes, Meta(max_length=LIMIT)]
     damage: Reason = ""
+    denied: TopicNames = ()
 
     def content(self) -> PieceContent:
         """Return what is packed; raises `PieceError`."""
@@ -158,9 +160,18 @@ class Cutter:
         messages: those that are asked for, from the time of `at` on.
         at: where the first piece begins.
         known: channels that need not cross.
+        denied: wanted topics that the asker may not read.
     """
 
-    def __init__(self, run: int, messages: Iterator[StoredMessage], at: Cursor, known: Collection[bytes]) -> None:
+    def __init__(
+        self,
+        run: int,
+        messages: Iterator[StoredMessage],
+        at: Cursor,
+        known: Collection[bytes],
+        denied: tuple[str, ...] = (),
+    ) -> None:
+        self._denied = denied
         self._run, self._number = run, 0
         self._messages = messages
         self._at = at
@@ -214,7 +225,9 @@ class Cutter:
         self._number += 1
         packed = msgspec.msgpack.encode(PieceContent(channels, b"".join(parts)))
         packed = zstandard.ZstdCompressor(level=_LEVEL).compress(packed)
-        return Piece(self._run, self._number, begin, self._at, self._rest is None, packed, self._damage)
+        is_last = self._rest is None
+        denied = self._denied if is_last else ()
+        return Piece(self._run, self._number, begin, self._at, is_last, packed, self._damage, denied)
 
     def _part(self, key: bytes, message: StoredMessage, room: int) -> list[bytes | memoryview]:
         """Return so many bytes of a message from `_offset` on."""
@@ -253,11 +266,12 @@ class Joiner:
 
     Args:
         topics: those that were asked for, and `begin` and `end` their span.
+        channels: those that are known.
     """
 
-    def __init__(self, topics: Collection[str], begin: int, end: int) -> None:
+    def __init__(self, topics: Collection[str], begin: int, end: int, channels: Channels | None = None) -> None:
         self._topics, self._begin, self._end = topics, begin, end
-        self._channels: dict[bytes, StoredChannel] = {}
+        self._channels = {key: each.channel() for key, each in (channels or {}).items()}
         self._row = bytearray()
         self._last = 0
 

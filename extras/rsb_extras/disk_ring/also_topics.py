@@ -1,4 +1,4 @@
-"""Topics of this side's domain that are recorded though no link carries them."""
+"""Topics of this side's domain that are recorded also while no link carries them."""
 
 from __future__ import annotations
 
@@ -53,6 +53,7 @@ class AlsoTopics:
         self._patterns: list[Pattern] = []
         self._topics: dict[str, _Also] = {}
         self._looked_at = float("-inf")
+        self._carried: set[str] = set()
         self._looking: asyncio.Task[None] | None = None
 
     def follow(self, names: Iterable[str]) -> None:
@@ -66,16 +67,21 @@ class AlsoTopics:
         self._looked_at = float("-inf")
 
     def look(self) -> None:
-        """Look for topics that have come or gone, now and then. Called once a second."""
+        """Look for topics that have come or gone, now and then, or that links have left. Called once a second."""
+        if not self._patterns:
+            return
+        before, self._carried = self._carried, self._carried_now()
+        if before - self._carried:  # each second counts: their messages are in no ring
+            self._looked_at = float("-inf")
         now = self._context.now()
         is_looking = self._looking is not None and not self._looking.done()
-        if self._patterns and not is_looking and now - self._looked_at >= _LOOKS_EVERY:
+        if not is_looking and now - self._looked_at >= _LOOKS_EVERY:
             self._looked_at = now
             self._looking = self._context.loop.create_task(self._look())
 
     async def _look(self) -> None:
         with suppress(RosError):  # the graph cannot be read: the bridge says so itself
-            found = await asyncio.to_thread(self._matching, self._carried())
+            found = await asyncio.to_thread(self._matching, self._carried)
             for topic in self._topics.keys() - found.keys():
                 self._drop(topic)
             for topic, spec in found.items():
@@ -84,10 +90,12 @@ class AlsoTopics:
                     with suppress(RosError):  # of a bad type: the look after asks again
                         self._take(spec)
 
-    def _carried(self) -> set[str]:
-        """Return the topics that a route takes from ROS."""
+    def _carried_now(self) -> set[str]:
+        """Return the topics that a route takes from ROS now: without a link, it is there and takes none."""
         routes = (route for link in self._bridge.role.links() for route in link.routes.values())
-        return {route.local_topic for route in routes if isinstance(route.half, Sender)}
+        return {
+            route.local_topic for route in routes if isinstance(route.half, Sender) and route.half.subscription.receives
+        }
 
     def _matching(self, carried: set[str]) -> dict[str, TopicSpec]:
         """Return what is published and matches, as one subscription to it asks for it. Takes a while."""

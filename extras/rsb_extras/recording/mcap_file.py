@@ -14,7 +14,7 @@ from rsb_bridge.model.qos import TIMES
 from rsb_extras.recording.message_definition import message_definition
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
     from pathlib import Path
 
     from rsb_bridge.feature_api import Qos
@@ -59,6 +59,7 @@ class McapFile:
     Args:
         file: is written to from its beginning, and not closed.
         is_compressed: whether by zstd, which nearly halves what numbers take, and takes a core for 250 MB/s of images.
+        metadata: records of MCAP's metadata by their names.
 
     Attributes:
         messages: number of those that are written.
@@ -67,7 +68,9 @@ class McapFile:
         McapError: MCAP's library is not installed.
     """
 
-    def __init__(self, file: IO[bytes], *, is_compressed: bool = True) -> None:
+    def __init__(
+        self, file: IO[bytes], *, is_compressed: bool = True, metadata: Mapping[str, dict[str, str]] | None = None
+    ) -> None:
         try:
             from mcap.writer import CompressionType, IndexType, Writer  # noqa: PLC0415 -- bridges that record nothing do without
         except ImportError:
@@ -75,8 +78,12 @@ class McapFile:
         self.messages = 0
         compression = CompressionType.ZSTD if is_compressed else CompressionType.NONE
         indexes = IndexType.CHUNK | IndexType.MESSAGE  # no empty groups
+        if metadata:
+            indexes |= IndexType.METADATA
         self._writer: Any = Writer(file, compression=compression, index_types=indexes)
         self._writer.start(profile="ros2", library="rsb-console")
+        for name, values in (metadata or {}).items():
+            self._writer.add_metadata(name, values)
         self._schemas: dict[str, int] = {}
         self._channels: dict[RecordedTopic, int] = {}
         self._copied: dict[StoredChannel, int] = {}
@@ -168,14 +175,14 @@ def qos_profiles(qos: Qos) -> str:
 
 
 @contextlib.contextmanager
-def new_recording(path: Path) -> Iterator[McapFile]:
-    """A recording in a file that is not there yet (`rsb_bridge.config.files.whole_file`).
+def new_recording(path: Path, *, metadata: Mapping[str, dict[str, str]] | None = None) -> Iterator[McapFile]:
+    """A recording in a file that is not there yet (`rsb_bridge.config.files.whole_file`), with `McapFile`'s metadata.
 
     Raises:
         McapError: MCAP's library is not installed.
         OSError: the file is there, or it cannot be written.
     """
     with whole_file(path) as file:
-        recording = McapFile(file)
+        recording = McapFile(file, metadata=metadata)
         yield recording
         recording.finish()

@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from rsb_extras.audit.recorded import content_key
 from rsb_extras.audit.tests.conftest import Audited, Sides
 from rsb_extras.audit.tests.written import LATCHED, START, text
+from rsb_extras.recording.reading.stored_message import content_key
 
 Run = Callable[..., Audited]
 

@@ -32,10 +32,12 @@ def robot_features(bags: Path, *, may: bool = True) -> dict[str, Any]:
     return {RECORDINGS_KEY.name: RecordingFolders((str(bags),)), **given}
 
 
-def two_sides(bridge: Bridge, bags: Path, *, may: bool = True, **others: Any) -> tuple[Engine, Engine]:
-    """Return the control PC, and the robot that lets it get its recordings."""
+def two_sides(
+    bridge: Bridge, bags: Path, *, may: bool = True, here: Path | None = None, **others: Any
+) -> tuple[Engine, Engine]:
+    """Return the control PC, with a folder of recordings if it has one, and the robot that lets it get its own."""
     robot = bridge.client(features=robot_features(bags, may=may), **others)
-    pc = bridge.server()
+    pc = bridge.server(features={} if here is None else robot_features(here, may=False))
     eventually(lambda: linked(pc) and linked(robot), what="linked")
     return pc, robot
 

@@ -90,7 +90,7 @@ def _beside(seed: int, size: int, bags: Path, *, fetches: bool) -> Beside:
         getting, spool = None, None
         if fetches:
             spool = await _spool(there)
-            getting = asyncio.ensure_future(there.extensions.find(LinkCourier).receive(spool))
+            getting = asyncio.ensure_future(there.extensions.find(LinkCourier).receive(spool.row))
         await asyncio.sleep(_SETTLED)
         heard, taken = flow.heard, spool.taken if spool else 0
         await asyncio.sleep(_SECONDS)
@@ -109,7 +109,8 @@ def _beside(seed: int, size: int, bags: Path, *, fetches: bool) -> Beside:
 async def _spool(link: Link) -> FetchSpool:
     (listed,) = await link.extensions.find(LinkCourier).recordings()
     wanted = Wanted(listed.id, listed.stamp, tuple(each.name for each in listed.topics))
-    return FetchSpool.new(Path(tempfile.mkdtemp()), AskedFetch("beside", "", "", listed, wanted))
+    folder = Path(tempfile.mkdtemp()) / ".beside.fetch"
+    return FetchSpool(folder, AskedFetch("beside", "", "", listed, wanted)).make()
 
 
 def beside(folder: Path) -> None:
@@ -167,9 +168,9 @@ def world_fetch(world: World, count: int) -> tuple[float, int, int]:
 
         NetworkPath.delay = counted  # type: ignore[method-assign]
         marks = [spool.asked.listed.begin + whole * (at + 1) // (count + 1) for at in range(count)]
-        getting = asyncio.ensure_future(there.extensions.find(LinkCourier).receive(spool))
+        getting = asyncio.ensure_future(there.extensions.find(LinkCourier).receive(spool.row))
         while not getting.done():
-            if marks and spool.at.time > marks[0]:
+            if marks and spool.row.at.time > marks[0]:
                 marks.pop(0)
                 with world.trouble("cut", robot):
                     world.network.cut(robot.host.machine, world.server.machine)

@@ -4,6 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
+from rsb_extras.courier.completed_recording import (
+    ClockSource,
+    CompletedClock,
+    CompletedRecording,
+    CompletedTopic,
+    MissingReason,
+    MissingSpan,
+)
 from rsb_extras.courier.courier_records import ListedRecording, ListedTopic
 from rsb_extras.courier.courier_requests import (
     CancelFetch,
@@ -32,6 +40,19 @@ FETCH = FetchReport(
 DONE = FetchReport(
     "robot1-run7", "robot1", "run7", FetchState.DONE, 1.0, 184_000_000, 0.0, 0.0, 18_000,
     "/var/lib/rsb-console/recordings/fetched/robot1-run7.mcap",
+)  # fmt: skip
+
+
+COMPLETED = CompletedRecording(
+    CompletedClock(ClockSource.MESSAGES, -1_500_000_000, 900, 2_000_000),
+    (CompletedTopic(
+        "/scan", "/front/scan", 900, 10, 80, 12,
+        (
+            MissingSpan(MissingReason.LOST, BEGAN, BEGAN + 1_000_000_000, 12),
+            MissingSpan(MissingReason.BEGINS_LATER, 0, 0),
+        ), 3,
+    ),),
+    1_000_000, 9_000_000,
 )  # fmt: skip
 
 

@@ -5,14 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 import pytest
 from msgspec.structs import replace
 from tests.console.scripted import ScriptedEngine, answers
 
 from rsb_console.command.shell import FAILURE, OK, USAGE
+from rsb_extras.courier.completed_recording import ClockSource, CompletedClock, CompletedRecording
+from rsb_extras.courier.completed_text import completed_lines
 from rsb_extras.courier.courier_records import LATEST
 from rsb_extras.courier.courier_requests import CancelFetch, FetchRecording, FetchState, ListFetches
-from rsb_extras.courier.tests.scripted_answers import BEGAN, DONE, DRIVE, FETCH
+from rsb_extras.courier.tests.scripted_answers import BEGAN, COMPLETED, DONE, DRIVE, FETCH
 
 if TYPE_CHECKING:
     from tests.support.commands import Ran
@@ -90,6 +93,42 @@ def test_times_are_of_the_recording(options: tuple[str, ...], begin: int, end: i
     assert asked == [FetchRecording("robot1", DRIVE.name, (), begin, end)]
 
 
+def test_completing_tells_what_is_missing_and_why(machine: Machine, ran: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    commands: list[Any] = []
+    known: Any = answers()
+
+    def noted(command: FetchRecording) -> str:
+        commands.append(command)
+        return DONE.name
+
+    monkeypatch.setitem(known, FetchRecording, noted)
+    monkeypatch.setitem(known, ListFetches, lambda _: (replace(DONE, completed=COMPLETED),))
+    machine.have(ScriptedEngine())
+    words = ("record", "get", "robot1", DRIVE.name, "--complete", "/scan", "--with", "noon.mcap")
+    lines = ran(*words).out.splitlines()
+    assert commands == [FetchRecording("robot1", DRIVE.name, ("/scan",), completes=True, live="noon.mcap")]
+    assert lines[1:3] == [
+        "1.0 MB of 9.0 MB of messages over there were missing here, and are fetched",
+        "times are of this side's clock: those of the other side -1.500000 s, by 900 messages (within 0.002000 s)",
+    ]
+    assert lines[3] == "/scan (/front/scan over there): 900 live, 80 fetched, 12 in neither recording"
+    assert lines[4].endswith(": 12 messages, the other side's recording has lost them")
+    assert lines[5:] == [
+        "  any time to any time: the other side's recording begins later",
+        "  3 more, shorter ones",
+    ]
+    found = ran(*words, "--json").json["completed"]
+    assert msgspec.convert(found, CompletedRecording) == COMPLETED
+
+
+@pytest.mark.parametrize(
+    ("source", "text"), [("link", "by the link's measurement"), ("none", "by nothing: no message came live")]
+)
+def test_a_clock_that_no_message_shows_is_told(source: str, text: str) -> None:
+    (_, line) = completed_lines(CompletedRecording(CompletedClock(ClockSource(source)), ()))
+    assert text in line
+
+
 def test_a_failed_fetch_is_a_failure(machine: Machine, ran: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     failed = replace(DONE, state=FetchState.FAILED, reason="the recording has changed")
     known: Any = answers()
@@ -112,6 +151,8 @@ def test_a_fetch_is_given_up(asked: list[Any], ran: Run) -> None:
         ("record get robot1", "give a link and a recording"),
         ("record get robot1 x --seconds 3", "record get takes no --seconds"),
         ("record list --to 3", "record list takes no --to"),
+        (f"record get robot1 {DRIVE.name} --with noon", "give both"),
+        ("record list --complete", "record list takes no --complete"),
         ("record cancel", "give the name of one fetch"),
         ("record get robot1 x --from noon", "--from noon: give seconds"),
         ("record get robot1 x --from 3", "x does not say when it begins"),

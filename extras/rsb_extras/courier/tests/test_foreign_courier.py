@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+import threading
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,6 +13,7 @@ import pytest
 import zstandard
 from tests.link.foreign_proposals_helpers import link, rogue
 from tests.support.bridge import happened
+from tests.support.inside import inside
 from tests.support.waiting import eventually
 from tests.wire.document_helpers import documented_fields
 
@@ -29,7 +32,9 @@ from rsb_extras.courier.courier_messages import (
     RecordingsAnswer,
 )
 from rsb_extras.courier.courier_records import Cursor, ListedRecording, Wanted
-from rsb_extras.courier.courier_requests import FetchState
+from rsb_extras.courier.courier_requests import FetchState, ListRecordings
+from rsb_extras.courier.fetch_spool import PieceRow
+from rsb_extras.courier.link_courier import LinkCourier
 from rsb_extras.courier.pieces import Piece, PieceContent, encode_piece
 from rsb_extras.courier.tests.bags import BEGAN, messages, write_bag
 from rsb_extras.courier.tests.courier_bed import fetch, report, robot_features, two_sides
@@ -97,6 +102,21 @@ def test_without_the_right_nothing_is_told(bridge: Bridge, bags: Path) -> None:
         assert ended(peer, BeginPieces(1, 1, WANTED)).problem
 
 
+def test_heads_are_of_topics_that_it_may_read(bridge: Bridge, bags: Path) -> None:
+    """And others' names come back whether or not the recording has them."""
+    write_bag(bags / "drive.mcap", messages(1, topics=("/scan", "/secret")))
+    pc, _ = two_sides(bridge, bags, deny=("/secret", "/nowhere"))
+    (group,) = pc.do(ListRecordings("robot1")).result(60)
+    listed = group.recordings[0]
+    wanted = Wanted(listed.id, listed.stamp, ("/scan", "/secret", "/nowhere"), heads=True)
+    row = PieceRow(bags.parent, wanted, listed.size, threading.RLock())
+    (here,) = inside(pc).role.links()
+    courier = here.extensions.find(LinkCourier)
+    asyncio.run_coroutine_threadsafe(courier.receive(row), here.context.loop).result(60)
+    assert row.denied == ("/nowhere", "/secret")
+    assert {each.channel.topic for each in row.messages()} == {"/scan"}
+
+
 def test_nobody_sends_pieces_unasked(bridge: Bridge, bags: Path) -> None:
     server(bridge, bags)
     with rogue(bridge, "courier", "recording") as peer:
@@ -125,6 +145,9 @@ def test_one_route_and_few_orders(bridge: Bridge, bags: Path) -> None:
         {"wanted": {"recording": KEY, "stamp": KEY, "topics": ["/scan"] * 257}},
         {"wanted": {"recording": KEY, "stamp": KEY, "topics": ["\x1b[2J"]}},
         {"wanted": {"recording": KEY, "stamp": KEY, "topics": ["/scan"], "end": 2**63}},
+        {"wanted": {"recording": KEY, "stamp": KEY, "topics": ["/scan"], "spans": [[256, 0]]}},
+        {"wanted": {"recording": KEY, "stamp": KEY, "topics": ["/scan"], "spans": [[0, -1]]}},
+        {"wanted": {"recording": KEY, "stamp": KEY, "topics": ["/scan"], "spans": [[0, 0]] * 4097}},
     ],
 )  # fmt: skip
 def test_orders_out_of_bounds_end_the_link(bridge: Bridge, bags: Path, broken: dict[str, Any]) -> None:

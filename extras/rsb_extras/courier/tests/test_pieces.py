@@ -13,7 +13,7 @@ import zstandard
 from tests.support.wording import pattern
 
 from rsb_extras.courier.courier_records import LATEST, Cursor, ListedRecording, Wanted
-from rsb_extras.courier.fetch_spool import AskedFetch, FetchSpool
+from rsb_extras.courier.fetch_spool import AskedFetch, FetchSpool, PieceRow, load_asked
 from rsb_extras.courier.pieces import (
     PIECE,
     Cutter,
@@ -66,9 +66,9 @@ def spooled(folder: Path, content: list[StoredMessage]) -> FetchSpool:
     """Return a fetch whose pieces have all come."""
     wanted = Wanted("0" * 16, "0" * 16, TOPICS)
     asked = AskedFetch("robot1-drive", "server pc", "robot1", ListedRecording("0" * 16, "drive", "0" * 16), wanted)
-    spool = FetchSpool.new(folder, asked)
+    spool = FetchSpool(folder / ".robot1-drive.fetch", asked).make()
     for piece in cut(content):
-        spool.add(piece, encode_piece(piece))
+        spool.row.add(piece, encode_piece(piece))
     return spool
 
 
@@ -89,16 +89,21 @@ def test_a_bridge_killed_behind_the_file_is_done(tmp_path: Path) -> None:
 
 def test_a_fetch_is_loaded_up_to_what_is_missing(tmp_path: Path) -> None:
     folder = spooled(tmp_path, [*messages(3)]).folder
-    whole = FetchSpool.load(folder, lambda: False)
-    assert whole is not None
-    assert whole.is_whole
-    assert FetchSpool.load(folder, lambda: True) is None
+    assert _loaded(folder).is_whole
+    assert not _loaded(folder, stop=True).is_whole
     second = sorted(folder.glob("*.piece"))[1]
     second.unlink()
     second.mkdir()  # cannot be read
-    part = FetchSpool.load(folder, lambda: False)
-    assert part is not None
+    part = _loaded(folder)
     assert (part.is_whole, part.at > Cursor()) == (False, True)
+
+
+def _loaded(folder: Path, *, stop: bool = False) -> PieceRow:
+    asked = load_asked(folder)
+    assert asked is not None
+    row = FetchSpool(folder, asked).row
+    row.load(lambda: stop)
+    return row
 
 
 def test_nothing_is_left_of_a_fetch_that_is_removed_at_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -112,7 +117,7 @@ def test_nothing_is_left_of_a_fetch_that_is_removed_at_work(tmp_path: Path, monk
 
     FOLLOWS.set(monkeypatch, held)
     piece = cut(content)[0]
-    adding = threading.Thread(target=spool.add, args=(piece, encode_piece(piece)))
+    adding = threading.Thread(target=spool.row.add, args=(piece, encode_piece(piece)))
     removing = threading.Thread(target=spool.remove)
     adding.start()
     is_there.wait(60)

@@ -116,6 +116,25 @@ def test_others_topics_are_in_it_if_the_session_says_so(bridge: Bridge, robot: D
     assert not others["/right"].get_subscription_count()
 
 
+def test_bridged_topics_are_in_it_also_without_a_link(bridge: Bridge, robot: Domain, pc: Domain, folder: Path) -> None:
+    limits = RecordLimits(disk=1.0, free=0.0, after=0.0, also=("/chat",))
+    pc.listener("/chat")
+    chat = robot.publisher("/chat")
+    server = bridge.server()
+    bridge.client(Topic("/chat", "transmit"), features={"record": limits})
+    carries([chat], server, ["/chat"])
+    assert chat.get_subscription_count() == 1, "the bridge's own alone"
+    server.stop()
+
+    def is_recorded() -> bool:
+        chat.publish(text("nobody hears it"))
+        return in_ring(folder, b"nobody hears it")
+
+    eventually(is_recorded)
+    bridge.server()
+    eventually(lambda: chat.get_subscription_count() == 1, what="the bridge's own alone")
+
+
 def read_all(stretch: Path) -> list[Any]:
     return [each for path in sorted(stretch.glob("*.mcap")) for each in read(path)]
 

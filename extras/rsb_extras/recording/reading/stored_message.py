@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 from typing import TYPE_CHECKING, NamedTuple
 
 import zstandard
@@ -91,6 +92,21 @@ class StoredMessage(NamedTuple):
     published: int
     number: int
     content: memoryview
+
+
+def content_key(content: bytes | memoryview, *, is_cdr: bool) -> int:
+    """Return a number of 64 bits by which messages with the same content are found.
+
+    Of CDR, the two bytes of options do not count, and neither does whether the end is padded to a multiple of 4, as
+    some middlewares do.
+    """
+    if not is_cdr or len(content) < 4:
+        made = hashlib.blake2b(content, digest_size=8)
+    else:
+        made = hashlib.blake2b(content[4:], digest_size=8, salt=content[:2])
+        if len(content) % 4:
+            made.update(bytes(-len(content) % 4))
+    return int.from_bytes(made.digest(), "little", signed=True)
 
 
 @contextlib.contextmanager
