@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from rsb_bridge.feature_api import Bridge, Command, ControlMessageBase, EnginePart, Extension, Link, Purpose
-    from rsb_console.feature_console import Action, Complete
+    from rsb_console.feature_console import Action, Complete, TileLines
 
 
 class RecordingFolders(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -86,9 +86,10 @@ class Courier(Feature):
             FetchRecording,
             ListFetches,
             ListRecordings,
+            NewestRecordings,
         )
 
-        return ListRecordings, FetchRecording, ListFetches, CancelFetch
+        return ListRecordings, NewestRecordings, FetchRecording, ListFetches, CancelFetch
 
     def parts(self, bridge: Bridge) -> Iterable[EnginePart]:
         from rsb_extras.courier.courier_part import CourierPart  # noqa: PLC0415
@@ -99,6 +100,11 @@ class Courier(Feature):
         from rsb_extras.courier.courier_arguments import add_to_record  # noqa: PLC0415
 
         add_to_record(commands["record"], complete)
+
+    def tiles(self) -> Iterable[type[TileLines]]:
+        from rsb_extras.courier.recordings_tile import RecordingsLines  # noqa: PLC0415
+
+        return (RecordingsLines,)
 
     def actions(self) -> Iterable[Action]:
         from rsb_console.feature_console import Action, Group, late  # noqa: PLC0415

@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 HEADINGS = "RECORDING", "SIDE", "BEGIN", "SPAN", "SIZE", "CAUSE", "TOPICS"
 _EVERY = 0.5  # s between two looks at a fetch
 _BAR = 20  # cells
-_NOTHING = "-"
+NOTHING = "-"
 _TIME = "%Y-%m-%dT%H:%M:%S"
 
 
@@ -135,13 +135,13 @@ def newest_first(group: RecordingGroup) -> list[ListedRecording]:
 
 def texts_of(listed: ListedRecording) -> tuple[str, str, str, str, str]:
     """Return the begin, span, size, cause and number of topics of a recording, in words."""
-    begin = datetime.fromtimestamp(listed.begin / 1e9).strftime(_TIME) if _has_date(listed) else _NOTHING
-    span = duration((listed.end - listed.begin) / 1e9) if listed.end > listed.begin else _NOTHING
+    begin = datetime.fromtimestamp(listed.begin / 1e9).strftime(_TIME) if has_date(listed) else NOTHING
+    span = duration((listed.end - listed.begin) / 1e9) if listed.end > listed.begin else NOTHING
     topics = len(listed.topics) + listed.more_topics
-    return begin, span, byte_count(listed.size), listed.cause or _NOTHING, f"{topics}" if topics else _NOTHING
+    return begin, span, byte_count(listed.size), listed.cause or NOTHING, f"{topics}" if topics else NOTHING
 
 
-def _has_date(listed: ListedRecording) -> bool:
+def has_date(listed: ListedRecording) -> bool:
     return 0 < listed.begin < 4_000_000_000_000_000_000  # 2096; what comes later has no date on every machine
 
 

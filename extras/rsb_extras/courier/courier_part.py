@@ -32,6 +32,7 @@ from rsb_extras.courier.courier_requests import (
     FetchState,
     ListFetches,
     ListRecordings,
+    NewestRecordings,
     RecordingGroup,
 )
 from rsb_extras.courier.fetch_spool import SPOOL, AskedFetch, FetchSpool
@@ -148,6 +149,7 @@ class CourierPart(EnginePart):
         self._asking = asyncio.Lock()
         self.handlers = {
             ListRecordings: self._list,
+            NewestRecordings: self._newest,
             FetchRecording: self._fetch,
             ListFetches: self._reports,
             CancelFetch: self._cancel,
@@ -182,6 +184,15 @@ class CourierPart(EnginePart):
             return RecordingGroup(link.name, await link.extensions.find(LinkCourier).recordings())
         except LinkError as error:
             return RecordingGroup(link.name, problem=sanitize_text(str(error)))
+
+    async def _newest(self, command: NewestRecordings) -> tuple[RecordingGroup, ...]:
+        here = await self._kept.newest(command.most)
+        there = (
+            link.extensions.find(LinkCourier).newest_kept(command.most)
+            for link in self._bridge.links()
+            if command.link in ("", link.name)
+        )
+        return (RecordingGroup(recordings=tuple(here)), *there)
 
     # --- fetches
 

@@ -11,7 +11,7 @@ import asyncio
 from contextlib import contextmanager
 from enum import StrEnum
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
 
@@ -39,6 +39,7 @@ from rsb_extras.courier.courier_messages import (
     RecordingsAnswer,
 )
 from rsb_extras.courier.courier_records import MOST_RECORDINGS, PAGE
+from rsb_extras.courier.courier_requests import RecordingGroup
 from rsb_extras.courier.kept_recordings import FetchError, KeptProblem, KeptRecordings, may_read
 from rsb_extras.courier.pieces import Cutter, Piece, PieceError, PieceProblem, decode_piece, encode_piece
 from rsb_extras.courier.slices import SLICE_HEAD, Pace, SliceJoiner
@@ -46,7 +47,7 @@ from rsb_extras.recording.reading.open_recording import OpenRecording
 from rsb_extras.recording.reading.stored_message import RecordingError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
 
     from rsb_bridge.feature_api import Link, Rights, Route
     from rsb_bridge.model.session import Direction
@@ -138,6 +139,13 @@ class _Receiving:
         self.arrivals.put_nowait(error)
 
 
+class _Listed(NamedTuple):
+    """Recordings that the peer has kept for a cause, the newest first and without their topics, when it listed them."""
+
+    at: float
+    kept: tuple[ListedRecording, ...]
+
+
 class LinkCourier(AskingExtension):
     """One link's recordings, in both directions."""
 
@@ -159,6 +167,7 @@ class LinkCourier(AskingExtension):
         self._allowance = TokenBucket(_BEGINS, _BEGINS / _BEGINS_WITHIN, link.context.now())
         self._peer_has = False
         self._request = self._run = self._number = 0
+        self._listed: _Listed | None = None
         self._sending: _Sending | None = None
         self._finding: asyncio.Future[Cutter] | None = None
         self._receiving: _Receiving | None = None
@@ -303,6 +312,13 @@ class LinkCourier(AskingExtension):
 
     # --- for this side's operators
 
+    def newest_kept(self, most: int) -> RecordingGroup:
+        """Return what the peer has kept for a cause, as far as it has listed that already, the newest first."""
+        if self._listed is None:
+            return RecordingGroup(self._link.name, age=None)
+        age = max(0.0, self._context.now() - self._listed.at)
+        return RecordingGroup(self._link.name, self._listed.kept[:most], age=age)
+
     async def recordings(self) -> tuple[ListedRecording, ...]:
         """Return the peer's recordings.
 
@@ -320,7 +336,9 @@ class LinkCourier(AskingExtension):
             found.update((each.id, each) for each in answer.recordings)
             last = max((each.id for each in answer.recordings), default="")
             if not answer.more or len(found) >= MOST_RECORDINGS:
-                return tuple(found.values())[:MOST_RECORDINGS]
+                listed = tuple(found.values())[:MOST_RECORDINGS]
+                self._listed = _Listed(self._context.now(), _newest_kept(listed))
+                return listed
             if last <= (after or ""):
                 raise LinkError(CourierProblem.LIES(link=self._link.name, error="a page without end"))
             after = last
@@ -435,6 +453,11 @@ class LinkCourier(AskingExtension):
     def _ended(self, ended: PiecesEnded) -> None:
         if self._receiving is not None and self._receiving.run == ended.run:
             self._receiving.end((FetchError if ended.is_final else LinkError)(ended.problem))
+
+
+def _newest_kept(listed: Iterable[ListedRecording]) -> tuple[ListedRecording, ...]:
+    kept = sorted((each for each in listed if each.cause), key=lambda each: each.begin, reverse=True)
+    return tuple(msgspec.structs.replace(each, topics=()) for each in kept)
 
 
 def _cutter(order: BeginPieces, kept: Kept) -> Cutter:

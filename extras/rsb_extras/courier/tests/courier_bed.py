@@ -17,6 +17,8 @@ from rsb_extras.courier.courier_requests import (
     FetchState,
     ListFetches,
     ListRecordings,
+    NewestRecordings,
+    RecordingGroup,
 )
 
 if TYPE_CHECKING:
@@ -44,6 +46,10 @@ def listed(engine: Engine, link: str = "robot1") -> dict[str, ListedRecording]:
     (group,) = engine.do(ListRecordings(link)).result(60)
     assert not group.problem, group.problem
     return {each.name: each for each in group.recordings}
+
+
+def newest(engine: Engine, most: int = 8) -> tuple[RecordingGroup, ...]:
+    return engine.do(NewestRecordings(most=most)).result(60)
 
 
 def fetch(engine: Engine, name: str, *topics: str, begin: int = 0, end: int = LATEST) -> str:
