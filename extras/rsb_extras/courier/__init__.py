@@ -21,15 +21,17 @@ class RecordingFolders(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     Attributes:
         folders: their absolute paths, beside the bridge's own.
+        fetched: GB of what was got from the other side of a link.
     """
 
     folders: tuple[str, ...] = ()
+    fetched: float = 10.0
 
 
 RECORDINGS_KEY: SessionKey[RecordingFolders] = SessionKey(
     "recordings", RecordingFolders, RecordingFolders(), live=True, hidden_as="folders"
 )
-"""The folders of recordings of this machine that operators list, and peers with the right get."""
+"""The folders of this machine from which operators list recordings, and peers with the right get them."""
 MAY_FETCH: PeerRight[bool] = PeerRight("recordings", bool, False)
 """Whether the other side may list and get this side's recordings, of the topics that it may read."""
 

@@ -66,6 +66,10 @@ class CourierCommandText(Wording):
     NO_SPAN = "{name} does not say when it begins: leave out --from and --to"
     NONE = "neither side has recordings"
     BEGUN = "{name}: the bridge gets it; `rsb-console record list` tells how far it is"
+    ASKED = (
+        "{link} has not listed its recordings within {seconds:.0f} s: the bridge goes on asking, and gets {name} then; "
+        "`rsb-console record list` tells how far it is"
+    )
     GOES_ON = "{name}: the bridge goes on; `rsb-console record cancel {name}` gives it up"
     DONE = "{messages:,} messages, {size} crossed: {path}"
     DONE_THERE = "{messages:,} messages, {size} crossed: {path} on the bridge's machine"
@@ -177,7 +181,11 @@ def _get(arguments: Namespace) -> int:
             last = LATEST if end is None else end(listed)
             if last < first:
                 raise UsageError(CourierCommandText.EMPTY())
-        fetch = engine.do(FetchRecording(link, name, tuple(topics), first, last)).result(LISTED_WITHIN)
+        try:
+            fetch = engine.do(FetchRecording(link, name, tuple(topics), first, last)).result(LISTED_WITHIN)
+        except TimeoutError:
+            text = CourierCommandText.ASKED(link=one_line(link), name=one_line(name), seconds=LISTED_WITHIN)
+            raise EngineError(text) from None
         if arguments.no_wait:
             return done(arguments, CourierCommandText.BEGUN(name=fetch), fetch=fetch)
         return _wait(engine, arguments, fetch)
@@ -222,7 +230,7 @@ def _wait(engine: RemoteEngine, arguments: Namespace, name: str) -> int:
             if has_bar:
                 redraw_line(bar_text(fetch))
             time.sleep(_EVERY)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, TimeoutError):
         if has_bar:
             redraw_line("")
         print_error(CourierCommandText.GOES_ON(name=name))

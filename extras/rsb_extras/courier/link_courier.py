@@ -78,6 +78,8 @@ class CourierCode(StrEnum):
     DONE = "courier.done"
     FAILED = "courier.failed"
     CANCELLED = "courier.cancelled"
+    REMOVED = "courier.removed"
+    """The oldest recording that was fetched is gone: `recordings.fetched` is full."""
 
 
 class CourierProblem(Wording):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from datetime import datetime
 from typing import TYPE_CHECKING
 
@@ -22,9 +21,9 @@ if TYPE_CHECKING:
     from rsb_extras.courier.courier_records import ListedRecording
     from rsb_extras.courier.courier_requests import FetchReport, RecordingGroup
 
-_LISTED_EVERY = 10.0
-"""s. A round figure: the bridge looks through folders for it."""
-_BAR = 8  # cells: with a rate and a rest it has room in the narrowest tile
+_LISTED_EACH = 10
+"""Renewals, which are a second apart. A round figure: the bridge looks through folders for it."""
+_BAR = 6  # cells: with a rate and a rest it has room in a tile of half of 80 columns
 _TIME = "%m-%d %H:%M"
 
 
@@ -51,7 +50,7 @@ class RecordingsLines(TileLines):
         super().__init__(console, link)
         self._fetches: Sequence[FetchReport] = ()
         self._groups: Sequence[RecordingGroup] | None = None
-        self._listed_at = float("-inf")
+        self._renewals = 0
         self._problem = ""
 
     async def renew(self) -> None:
@@ -62,9 +61,9 @@ class RecordingsLines(TileLines):
             fetches = await asyncio.wrap_future(engine.do(ListFetches(self.link)))
             has_new = _done(fetches) != _done(self._fetches)
             self._fetches = fetches
-            if has_new or time.monotonic() >= self._listed_at + _LISTED_EVERY:
+            if has_new or self._renewals % _LISTED_EACH == 0:
                 self._groups = await asyncio.wrap_future(engine.do(NewestRecordings(self.link)))
-                self._listed_at = time.monotonic()
+            self._renewals += 1
             self._problem = ""
         except EngineError as error:
             self._problem = str(error)
@@ -96,10 +95,10 @@ def _fetch_lines(fetches: Sequence[FetchReport]) -> Iterator[Line]:
         look = FETCH_LOOKS[fetch.state]
         yield ((fetch.name, "strong"),)
         if fetch.state is FetchState.FAILED:
-            yield ((f"  {fetch.reason}", look),)
+            yield ((f" {fetch.reason}", look),)
         else:
             full = int(fetch.share * _BAR)
-            yield ((f"  [{'#' * full}{'.' * (_BAR - full)}] ", look), (", ".join(_progress(fetch)), ""))
+            yield ((f" [{'#' * full}{'.' * (_BAR - full)}] ", look), (", ".join(_progress(fetch)), ""))
 
 
 def _progress(fetch: FetchReport) -> Iterator[str]:
@@ -120,16 +119,16 @@ def _kept_lines(group: RecordingGroup, side: str) -> Iterator[Line]:
     heading = RecordingsTileText.THERE if group.recordings else RecordingsTileText.NONE_THERE
     yield ((heading(side=side, age=duration(group.age)), "dim"),)
     for each in group.recordings:
-        yield _line(each, each.note or each.name, "stale" if each.cause == "fault" else "")
+        look = "stale" if each.cause == "fault" else ""
+        size = byte_count(each.size)
+        yield (f"  {_begin(each)}  ", "dim"), (f"{each.cause}: {each.note or each.name}", look), (f"  {size}", "dim")
 
 
 def _own_lines(recordings: Sequence[ListedRecording]) -> Iterator[Line]:
     yield ((RecordingsTileText.HERE() if recordings else RecordingsTileText.NONE_HERE(), "dim"),)
     for each in recordings:
-        yield _line(each, each.name, "")
+        yield (f"  {byte_count(each.size):>7}  ", "dim"), (each.name, ""), (f"  {_begin(each)}", "dim")
 
 
-def _line(listed: ListedRecording, name: str, look: str) -> Line:
-    begin = datetime.fromtimestamp(listed.begin / 1e9).strftime(_TIME) if has_date(listed) else NOTHING
-    cause = f"{listed.cause}: " if listed.cause else ""
-    return (f"  {begin:<11} {byte_count(listed.size):>7}  ", "dim"), (f"{cause}{name}", look)
+def _begin(listed: ListedRecording) -> str:
+    return datetime.fromtimestamp(listed.begin / 1e9).strftime(_TIME) if has_date(listed) else f"{NOTHING:11}"

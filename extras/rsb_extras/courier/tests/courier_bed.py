@@ -34,10 +34,12 @@ def robot_features(bags: Path, *, may: bool = True) -> dict[str, Any]:
     return {RECORDINGS_KEY.name: RecordingFolders((str(bags),)), **given}
 
 
-def two_sides(bridge: Bridge, bags: Path, *, may: bool = True, **others: Any) -> tuple[Engine, Engine]:
-    """Return the control PC, and the robot that lets it get its recordings."""
+def two_sides(
+    bridge: Bridge, bags: Path, *, may: bool = True, own: RecordingFolders | None = None, **others: Any
+) -> tuple[Engine, Engine]:
+    """Return the control PC, with folders of its own if they are given, and the robot that lets it get recordings."""
     robot = bridge.client(features=robot_features(bags, may=may), **others)
-    pc = bridge.server()
+    pc = bridge.server(features={RECORDINGS_KEY.name: own} if own is not None else {})
     eventually(lambda: linked(pc) and linked(robot), what="linked")
     return pc, robot
 

@@ -15,6 +15,7 @@ from tests.support.waiting import eventually
 from tests.support.wording import says
 
 from rsb_bridge.api import EngineError
+from rsb_extras.courier.courier_part import FetchProblem
 from rsb_extras.courier.courier_requests import (
     CancelFetch,
     FetchState,
@@ -25,7 +26,7 @@ from rsb_extras.courier.kept_recordings import FetchError, KeptProblem
 from rsb_extras.courier.link_courier import CourierCode
 from rsb_extras.courier.tests.bags import BEGAN, SECOND, in_bag, messages, write_bag
 from rsb_extras.courier.tests.courier_bed import done, fetch, fetches, listed, newest, report, robot_features, two_sides
-from rsb_extras.courier.tests.courier_places import CUTTER, QUICK
+from rsb_extras.courier.tests.courier_places import CUTTER, LISTED_WITHIN, QUICK
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -274,3 +275,16 @@ def test_one_comes_after_the_other(bridge: Bridge, bags: Path, fetched: Path) ->
     with pytest.raises(EngineError, match="several recordings drive"):
         fetch(pc, "drive")
     assert done(pc, fetch(pc, "drive1")).name == "robot1-drive1-2"
+
+
+def test_a_fetch_that_cannot_begin_later_is_logged(bridge: Bridge, bags: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By then, no operator may wait for the answer."""
+    pc, _ = two_sides(bridge, bags)
+    with pytest.raises(EngineError):
+        fetch(pc, "drive.mcap")
+    assert not happened(pc, CourierCode.FAILED)
+    LISTED_WITHIN.set(monkeypatch, 0.0)
+    with pytest.raises(EngineError):
+        fetch(pc, "drive.mcap")
+    reason = FetchProblem.UNKNOWN(link="robot1", name="drive.mcap")
+    assert happened(pc, CourierCode.FAILED, FetchProblem.NONE, name="drive.mcap", reason=reason)

@@ -69,8 +69,8 @@ def renewed(lines: RecordingsLines, height: int = 20) -> list[str]:
 def test_fetches_come_first_those_under_way_before_others() -> None:
     found = renewed(tile(Bridge(FAILED, WAITS, DONE, FETCH)))
     assert [line.strip() for line in found[:6]] == [
-        FETCH.name, "[##......] 25%, 1.5 MB/s, 84 s left",
-        WAITS.name, "[........] 0%, waits",
+        FETCH.name, "[#.....] 25%, 1.5 MB/s, 84 s left",
+        WAITS.name, "[......] 0%, waits",
         FAILED.name, FAILED.reason,
     ]  # fmt: skip
     assert DONE.name not in "".join(found), "its file is among the newest ones"
