@@ -151,7 +151,9 @@ async def test_recordings_are_a_tile(app: ConsoleApp, pilot: Pilot[None]) -> Non
     ):
         await shown(pilot, words)
     told = {str(command[0]) for command in engine_of(app).commands}
-    assert {each for each in told if "recordings" in each} == {"newest recordings"}, "the other side is asked for nothing"
+    assert {each for each in told if "recordings" in each} == {"newest recordings"}, (
+        "the other side is asked for nothing"
+    )
 
 
 @on_tiles()
