@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import threading
+from functools import partial
+from random import Random
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -98,6 +100,28 @@ def test_events_keep_stretches(code: EventCode, bridge: Bridge, robot: Domain, f
     inside(client).context.events.add(Level.WARNING, code, "what happened", topic="/chat")
     stretch = wait_for(folder, REASONS[code])
     assert metadata(stretch)["custom_data"]["text"] == "what happened"
+
+
+def test_no_publisher_pushes_out_another_of_a_latched_topic(bridge: Bridge, robot: Domain, folder: Path) -> None:
+    """Neither in memory nor on disk, however much the other one publishes."""
+    bridge.server()
+    quiet, busy = (robot.publisher("/tf_static", qos=LATCHED) for _ in range(2))
+    quiet.publish(text("quiet"))
+    limits = RecordLimits(seconds=1.0, disk=0.04, free=0.0, after=0.0)
+    client = bridge.client(Topic("/tf_static", "transmit"), features={"record": limits})
+    chance = Random(1)
+
+    def goes_on() -> bool:
+        busy.publish(text(chance.randbytes(20_000).hex()))
+        return len(ring(folder)) > 2  # each of more than a megabyte
+
+    eventually(goes_on, what="three files")
+    for file in ring(folder)[:-1]:
+        assert texts(file, "/tf_static")[0] == "quiet"
+    kept = partial(client.do, KeepLast(None))
+    # Of older messages, 64 KiB stay.
+    path = eventually(lambda: (found := kept().result(60)).messages <= 3 and found.path, what="all is older than 1 s")
+    assert [len(each.message.data) for each in read(path)] == [len("quiet"), 40_000, 40_000]
 
 
 def test_others_topics_are_in_it_if_the_session_says_so(bridge: Bridge, robot: Domain, folder: Path) -> None:
