@@ -115,8 +115,8 @@ def test_a_disarm_keeps_a_stretch_on_both_sides(
     eventually(lambda: joystick.publish(text("go")) or "go" in motors.texts(100))
     disarm(server)
     joystick.publish(text("too late"))
-    stretches = eventually(lambda: len(found := [*folder.glob("*-disarm*")]) == 2 and found)
-    for each in stretches:
+    eventually(lambda: len([*folder.glob("*-disarm*")]) == 2)
+    for each in folder.glob("*-disarm*"):
         assert set(texts(each, "/cmd")) == {"go"}
         custom = metadata(each)["custom_data"]
         assert (custom["cause"], custom["subject"]) == ("disarm", "/cmd")
