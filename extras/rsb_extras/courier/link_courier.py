@@ -65,6 +65,8 @@ _BEGINS, _BEGINS_WITHIN = 20, 60.0
 _SILENT, _LOOK_EVERY = 120.0, 5.0
 """s without a slice, while the link is up, after which this side begins anew. Round figures: the least slice takes
 0.4 s at 5 kB/s, and longer beside topics."""
+_LATELY = 1.0
+"""s after a topic's message in which slices make room for the next one. A round figure."""
 _ENDED = "the recording is here"
 
 
@@ -298,6 +300,7 @@ class LinkCourier(AskingExtension):
     async def _send_slices(self, sending: _Sending, source: BytesSource, piece: bytes) -> None:
         pace, at = sending.pace, 0
         while at < len(piece):
+            pace.has_others = self._has_topics()
             await sending.until(lambda: pace.is_open)
             part = piece[at : at + pace.size]
             head = SLICE_HEAD.pack(sending.order.run & 0xFFFFFFFF, sending.given, at, len(piece))
@@ -306,6 +309,12 @@ class LinkCourier(AskingExtension):
             if source.closed:
                 raise LinkError(CourierProblem.NO_ROUTE())
             at += len(part)
+
+    def _has_topics(self) -> bool:
+        """Whether a message of another route has passed lately."""
+        since = self._context.now() - _LATELY
+        others = (route.meter.last for route in self._link.routes.values() if route.purpose is not PIECES)
+        return any(last is not None and last > since for last in others)
 
     def _log(self, kept: Kept, *, begins: bool) -> None:
         text = f"{kept.path}: {self._link.peer_name} {'gets it' if begins else 'has got it'}"
