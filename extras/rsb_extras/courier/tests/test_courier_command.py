@@ -14,7 +14,7 @@ from rsb_console.command.shell import FAILURE, OK, USAGE
 from rsb_extras.courier.courier_command import CourierCommandText
 from rsb_extras.courier.courier_records import LATEST
 from rsb_extras.courier.courier_requests import CancelFetch, FetchRecording, FetchState, ListFetches
-from rsb_extras.courier.tests.courier_places import WAITED_WITHIN
+from rsb_extras.courier.tests.courier_places import ANSWERED_WITHIN, WAITED_WITHIN
 from rsb_extras.courier.tests.scripted_answers import BEGAN, DONE, DRIVE, FETCH
 
 if TYPE_CHECKING:
@@ -46,6 +46,16 @@ def asked(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> list[Any]:
         monkeypatch.setitem(known, kind, reply)
     machine.have(ScriptedEngine())
     return commands
+
+
+def silent_at(kind: type[Command[Any]]) -> ScriptedEngine:
+    """Return an engine that does not answer one kind of command."""
+
+    class Silent(ScriptedEngine):
+        def _execute(self, command: Command[Any], step: Callable[[str], None] | None) -> Future[Any]:
+            return Future() if isinstance(command, kind) else super()._execute(command, step)
+
+    return Silent()
 
 
 def test_recordings_of_both_sides_are_listed(machine: Machine, ran: Run) -> None:
@@ -107,16 +117,19 @@ def test_a_failed_fetch_is_a_failure(machine: Machine, ran: Run, monkeypatch: py
 def test_a_list_that_takes_long_leaves_the_fetch_to_the_bridge(
     machine: Machine, ran: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    class Slow(ScriptedEngine):
-        def _execute(self, command: Command[Any], step: Callable[[str], None] | None) -> Future[Any]:
-            return Future() if isinstance(command, FetchRecording) else super()._execute(command, step)
-
     WAITED_WITHIN.set(monkeypatch, 0.1)
-    machine.have(Slow())
+    machine.have(silent_at(FetchRecording))
     found = ran("record", "get", "robot1", DRIVE.name)
     text = CourierCommandText.ASKED(link="robot1", name=DRIVE.name, seconds=0.1)
     assert (found.code, found.out, text in found.err) == (FAILURE, "", True)
     assert ran("record", "get", "robot1", DRIVE.name, "--no-wait", "--json").json == {"ok": False, "error": text}
+
+
+def test_a_bridge_that_falls_silent_may_go_on(machine: Machine, ran: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    ANSWERED_WITHIN.set(monkeypatch, 0.1)
+    machine.have(silent_at(ListFetches))
+    found = ran("record", "get", "robot1", DRIVE.name)
+    assert (found.code, CourierCommandText.GOES_ON(name=DONE.name) in found.err) == (FAILURE, True)
 
 
 def test_a_fetch_is_given_up(asked: list[Any], ran: Run) -> None:
