@@ -65,6 +65,7 @@ class Bridge:
         self.port = free_port()
         self.key_file = self.make_key("robot1")
         self._addresses = {"server": "127.0.0.1", "client": "127.0.0.1"}
+        self._relay_port: int | None = None
         self._engines: list[Engine] = []
         self.expected: set[Engine] = set()
         self._present = {*threading.enumerate()}
@@ -76,6 +77,7 @@ class Bridge:
     def through(self, relay: Relay) -> None:
         """Have clients call a relay instead of the server."""
         self._addresses = {"server": relay.target[0], "client": relay.host}
+        self._relay_port = relay.port
 
     def make_key(self, name: str) -> str:
         """A new key file."""
@@ -98,7 +100,7 @@ class Bridge:
             "name": "robot1",
             "role": role,
             "server_ip": self._addresses[role],
-            "server_port": self.port,
+            "server_port": self.port if role == "server" else self._relay_port or self.port,
             "domain_id": domain_id,
             "key_file": self.key_file,
         }

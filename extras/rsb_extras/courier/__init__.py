@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from rsb_bridge.feature_api import Bridge, Command, ControlMessageBase, EnginePart, Extension, Link, Purpose
-    from rsb_console.feature_console import Action, Complete
+    from rsb_console.feature_console import Action, Complete, TileLines
 
 
 class RecordingFolders(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -21,15 +21,17 @@ class RecordingFolders(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     Attributes:
         folders: their absolute paths, beside the bridge's own.
+        fetched: GB of what was got from the other side of a link.
     """
 
     folders: tuple[str, ...] = ()
+    fetched: float = 10.0
 
 
 RECORDINGS_KEY: SessionKey[RecordingFolders] = SessionKey(
     "recordings", RecordingFolders, RecordingFolders(), live=True, hidden_as="folders"
 )
-"""The folders of recordings of this machine that operators list, and peers with the right get."""
+"""The folders of this machine from which operators list recordings, and peers with the right get them."""
 MAY_FETCH: PeerRight[bool] = PeerRight("recordings", bool, False)
 """Whether the other side may list and get this side's recordings, of the topics that it may read."""
 
@@ -86,9 +88,10 @@ class Courier(Feature):
             FetchRecording,
             ListFetches,
             ListRecordings,
+            NewestRecordings,
         )
 
-        return ListRecordings, FetchRecording, ListFetches, CancelFetch
+        return ListRecordings, NewestRecordings, FetchRecording, ListFetches, CancelFetch
 
     def parts(self, bridge: Bridge) -> Iterable[EnginePart]:
         from rsb_extras.courier.courier_part import CourierPart  # noqa: PLC0415
@@ -99,6 +102,11 @@ class Courier(Feature):
         from rsb_extras.courier.courier_arguments import add_to_record  # noqa: PLC0415
 
         add_to_record(commands["record"], complete)
+
+    def tiles(self) -> Iterable[type[TileLines]]:
+        from rsb_extras.courier.recordings_tile import RecordingsLines  # noqa: PLC0415
+
+        return (RecordingsLines,)
 
     def actions(self) -> Iterable[Action]:
         from rsb_console.feature_console import Action, Group, late  # noqa: PLC0415

@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 HEADINGS = "RECORDING", "SIDE", "BEGIN", "SPAN", "SIZE", "CAUSE", "TOPICS"
 _EVERY = 0.5  # s between two looks at a fetch
 _BAR = 20  # cells
-_NOTHING = "-"
+NOTHING = "-"
 _TIME = "%Y-%m-%dT%H:%M:%S"
 
 
@@ -69,6 +69,10 @@ class CourierCommandText(Wording):
     NO_SPAN = "{name} does not say when it begins: leave out --from and --to"
     NONE = "neither side has recordings"
     BEGUN = "{name}: the bridge gets it; `rsb-console record list` tells how far it is"
+    ASKED = (
+        "{link} has not listed its recordings within {seconds:.0f} s: the bridge goes on asking, and gets {name} then; "
+        "`rsb-console record list` tells how far it is"
+    )
     GOES_ON = "{name}: the bridge goes on; `rsb-console record cancel {name}` gives it up"
     DONE = "{messages:,} messages, {size} crossed: {path}"
     DONE_THERE = "{messages:,} messages, {size} crossed: {path} on the bridge's machine"
@@ -144,13 +148,13 @@ def newest_first(group: RecordingGroup) -> list[ListedRecording]:
 
 def texts_of(listed: ListedRecording) -> tuple[str, str, str, str, str]:
     """Return the begin, span, size, cause and number of topics of a recording, in words."""
-    begin = datetime.fromtimestamp(listed.begin / 1e9).strftime(_TIME) if _has_date(listed) else _NOTHING
-    span = duration((listed.end - listed.begin) / 1e9) if listed.end > listed.begin else _NOTHING
+    begin = datetime.fromtimestamp(listed.begin / 1e9).strftime(_TIME) if has_date(listed) else NOTHING
+    span = duration((listed.end - listed.begin) / 1e9) if listed.end > listed.begin else NOTHING
     topics = len(listed.topics) + listed.more_topics
-    return begin, span, byte_count(listed.size), listed.cause or _NOTHING, f"{topics}" if topics else _NOTHING
+    return begin, span, byte_count(listed.size), listed.cause or NOTHING, f"{topics}" if topics else NOTHING
 
 
-def _has_date(listed: ListedRecording) -> bool:
+def has_date(listed: ListedRecording) -> bool:
     return 0 < listed.begin < 4_000_000_000_000_000_000  # 2096; what comes later has no date on every machine
 
 
@@ -189,7 +193,11 @@ def _get(arguments: Namespace) -> int:
             if last < first:
                 raise UsageError(CourierCommandText.EMPTY())
         asked = FetchRecording(link, name, tuple(topics), first, last, arguments.complete, arguments.live or "")
-        fetch = engine.do(asked).result(LISTED_WITHIN)
+        try:
+            fetch = engine.do(asked).result(LISTED_WITHIN)
+        except TimeoutError:
+            text = CourierCommandText.ASKED(link=one_line(link), name=one_line(name), seconds=LISTED_WITHIN)
+            raise EngineError(text) from None
         if arguments.no_wait:
             return done(arguments, CourierCommandText.BEGUN(name=fetch), fetch=fetch)
         return _wait(engine, arguments, fetch)
@@ -234,7 +242,7 @@ def _wait(engine: RemoteEngine, arguments: Namespace, name: str) -> int:
             if has_bar:
                 redraw_line(bar_text(fetch))
             time.sleep(_EVERY)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, TimeoutError):
         if has_bar:
             redraw_line("")
         print_error(CourierCommandText.GOES_ON(name=name))

@@ -31,15 +31,18 @@ from rsb_extras.courier.completed_recording import AskedCompletion, CompletedNam
 from rsb_extras.courier.completion_spool import CompletionSpool
 from rsb_extras.courier.courier_records import LATEST, ListedRecording, Wanted
 from rsb_extras.courier.courier_requests import (
+    LISTED_WITHIN,
     CancelFetch,
     FetchRecording,
     FetchReport,
     FetchState,
     ListFetches,
     ListRecordings,
+    NewestRecordings,
     RecordingGroup,
 )
 from rsb_extras.courier.fetch_spool import SPOOL, AskedFetch, FetchSpool, Spool, load_asked
+from rsb_extras.courier.fetched_folder import FolderFullError, make_room
 from rsb_extras.courier.kept_recordings import FetchError, KeptRecordings
 from rsb_extras.courier.link_courier import CourierCode, LinkCourier
 from rsb_extras.courier.live_parts import named, overlapping, own_files
@@ -64,6 +67,10 @@ _RATE_OVER = 30.0
 """s over which the rate is reckoned: some pieces at 1 Mbit/s. A round figure."""
 
 
+_BOUNDED_EACH = 64 << 20
+"""Bytes that come before the size of the folder is looked at again. A round figure."""
+
+
 class FetchProblem(Wording):
     """The reason why there is no fetch."""
 
@@ -81,6 +88,8 @@ class FetchProblem(Wording):
     GONE = "this session has no link {link} now"
     CANCELLED = "given up by {who}"
     STOPS = "the bridge stops"
+    NONE = "recording {name} is not got: {reason}"
+    REMOVED = "{path} was the oldest that was fetched, and is removed: recordings.fetched is {most:g} GB"
 
 
 class _Progress(NamedTuple):
@@ -144,10 +153,13 @@ class CourierPart(EnginePart):
         self._fetches: dict[str, Fetch] = {}
         self._stopping = False
         self._loading: asyncio.Task[None] | None = None
+        self._bounding: asyncio.Task[None] | None = None
+        self._bounded_at = 0  # bytes of all fetches when the folder was looked at last
         self._asking = asyncio.Lock()
         self.handlers = {
             ListRecordings: self._list,
-            FetchRecording: self._fetch,
+            NewestRecordings: self._newest,
+            FetchRecording: self._fetch_or_tell,
             ListFetches: self._reports,
             CancelFetch: self._cancel,
         }
@@ -182,7 +194,27 @@ class CourierPart(EnginePart):
         except LinkError as error:
             return RecordingGroup(link.name, problem=sanitize_text(str(error)))
 
+    async def _newest(self, command: NewestRecordings) -> tuple[RecordingGroup, ...]:
+        here = await self._kept.newest(command.most)
+        there = (
+            link.extensions.find(LinkCourier).newest_kept(command.most)
+            for link in self._bridge.links()
+            if command.link in ("", link.name)
+        )
+        return (RecordingGroup(recordings=tuple(here)), *there)
+
     # --- fetches
+
+    async def _fetch_or_tell(self, command: FetchRecording) -> str:
+        """Begin a fetch, or log why there is none: nobody may wait for the answer by then."""
+        began = self._context.now()
+        try:
+            return await self._fetch(command)
+        except LinkError as error:
+            if self._context.now() - began >= LISTED_WITHIN:
+                text = FetchProblem.NONE(name=sanitize_text(command.recording, TEXT_LENGTH), reason=error)
+                self._bridge.log.add(CourierCode.FAILED, text, level=Level.WARNING, link=command.link)
+            raise
 
     async def _fetch(self, command: FetchRecording) -> str:
         link = link_named(command.link, self._bridge.links())
@@ -200,6 +232,10 @@ class CourierPart(EnginePart):
                     return fetch.asked.name
             if sum(not each.is_over for each in self._fetches.values()) >= MOST_FETCHES:
                 raise LinkError(FetchProblem.TOO_MANY(most=MOST_FETCHES))
+            try:
+                await self._make_room()
+            except (FolderFullError, OSError) as error:
+                raise LinkError(str(error)) from None
             parts: Sequence[LivePart] = ()
             if completes is not None:
                 parts = await asyncio.to_thread(self._live, command, listed, completes)
@@ -251,6 +287,31 @@ class CourierPart(EnginePart):
 
     def tick(self, snapshot: Snapshot) -> None:
         self._go_on()
+        is_bounding = self._bounding is not None and not self._bounding.done()
+        if not is_bounding and abs(self._taken - self._bounded_at) >= _BOUNDED_EACH:
+            self._bounding = self._context.loop.create_task(self._bound())
+
+    @property
+    def _taken(self) -> int:
+        """Bytes of all fetches that are known."""
+        return sum(fetch.spool.taken for fetch in self._fetches.values())
+
+    async def _bound(self) -> None:
+        """Have fetches wait while there is no room for them."""
+        try:
+            await self._make_room()
+        except (FolderFullError, OSError) as error:
+            for fetch in self._fetches.values():
+                if fetch.task is not None and fetch.state is FetchState.FETCHING:
+                    fetch.task.cancel()
+                    self._wait(fetch, str(error), _DISK_AGAIN_AFTER)
+
+    async def _make_room(self) -> None:
+        """Remove the oldest files that were fetched, as far as the session's bound demands; raises as `make_room`."""
+        self._bounded_at = self._taken
+        most = RECORDINGS_KEY.of(self._context.session).fetched
+        for path in await asyncio.to_thread(make_room, self._kept.fetched, most):
+            self._bridge.log.add(CourierCode.REMOVED, FetchProblem.REMOVED(path=path, most=most))
 
     def _go_on(self) -> None:
         """Begin what can begin: of each link the oldest fetch."""
@@ -282,12 +343,15 @@ class CourierPart(EnginePart):
         try:
             while (row := await asyncio.to_thread(spool.next_row, stop)) is not None:
                 fetch.state, fetch.reason = FetchState.FETCHING, ""
+                await self._make_room()
                 await courier.receive(row)
             fetch.state, fetch.reason = FetchState.WRITING, ""
             fetch.messages = await asyncio.to_thread(spool.write, stop)
         except LinkError as error:
             fetch.pause = _AGAIN_AFTER if spool.taken > taken else min(2 * fetch.pause, _LONGEST_PAUSE)
             self._wait(fetch, str(error), fetch.pause)
+        except FolderFullError as error:
+            self._wait(fetch, str(error), _DISK_AGAIN_AFTER)
         except InterruptedError:
             self._wait(fetch, FetchProblem.STOPS(), _AGAIN_AFTER)
         except OSError as error:
@@ -319,9 +383,8 @@ class CourierPart(EnginePart):
 
     async def close(self) -> None:
         self._stopping = True
-        tasks = [
-            each for each in (self._loading, *(fetch.task for fetch in self._fetches.values())) if each is not None
-        ]
+        running = (self._loading, self._bounding, *(fetch.task for fetch in self._fetches.values()))
+        tasks = [each for each in running if each is not None]
         for task in tasks:
             task.cancel()
         if tasks:

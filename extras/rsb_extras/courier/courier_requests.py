@@ -25,11 +25,13 @@ class RecordingGroup(msgspec.Struct, frozen=True, omit_defaults=True):
     Attributes:
         link: the link to it, or empty for this side.
         problem: why nothing is known of them, or empty.
+        age: s since that side has listed them, or None if it has not.
     """
 
     link: Name = ""
     recordings: Annotated[tuple[ListedRecording, ...], Meta(max_length=MOST_RECORDINGS)] = ()
     problem: Reason = ""
+    age: Seconds | None = 0.0
 
 
 class FetchState(StrEnum):
@@ -73,6 +75,22 @@ class ListRecordings(Command[tuple[RecordingGroup, ...]], frozen=True, tag="list
     refreshes = False
     cancellable = True
     link: str = ""
+
+
+class NewestRecordings(Command[tuple[RecordingGroup, ...]], frozen=True, tag="newest_recordings"):
+    """Return the newest recordings of this side, and those with a cause of the other sides, the newest first.
+
+    Nothing is asked of the other sides: it is what they have listed last. Topics are left out.
+
+    Attributes:
+        most: of each side.
+    """
+
+    right = Right.LOOK
+    is_of_links = True
+    refreshes = False
+    link: str = ""
+    most: Annotated[int, Meta(ge=1, le=MOST_RECORDINGS)] = 16
 
 
 class FetchRecording(Command[str], frozen=True, tag="fetch_recording"):

@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rsb_bridge.feature_api import Wording, one_line
+from rsb_bridge.feature_api import Range, Wording, one_line
 from rsb_extras.courier import MAY_FETCH, RECORDINGS_KEY
+from rsb_extras.recording.record_rules import RecordText
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -15,6 +16,9 @@ if TYPE_CHECKING:
 
 _MOST_FOLDERS = 16
 """Of a session. A round figure: each is looked through for each list."""
+
+FETCHED_SIZE = Range(0.01, 100_000)
+"""GB. Round figures."""
 
 
 class CourierRulesText(Wording):
@@ -31,6 +35,8 @@ def problems(session: Session) -> Iterator[tuple[str, str]]:
     place, folders = f"{RECORDINGS_KEY.name}.folders", RECORDINGS_KEY.of(session).folders
     if len(folders) > _MOST_FOLDERS:
         yield place, CourierRulesText.TOO_MANY(count=len(folders), most=_MOST_FOLDERS)
+    if (size := RECORDINGS_KEY.of(session).fetched) not in FETCHED_SIZE:
+        yield f"{RECORDINGS_KEY.name}.fetched", RecordText.OUT_OF_RANGE(value=size, range=FETCHED_SIZE)
     for at, folder in enumerate(folders):
         if "\0" in folder or any(0xD800 <= ord(character) <= 0xDFFF for character in folder):
             yield f"{place}[{at}]", CourierRulesText.NUL()

@@ -36,7 +36,7 @@ HELP = "enter get   x give up   esc close"
 _WIDTH = 76  # cells, until the screen is laid out
 _TOPICS = 40  # that are named. A round figure
 _FETCHES_EVERY = 1.0  # s
-_LOOKS = {"waiting": "waiting", "fetching": "ok", "writing": "ok", "done": "ok", "failed": "down"}
+FETCH_LOOKS = {"waiting": "waiting", "fetching": "ok", "writing": "ok", "done": "ok", "failed": "down"}
 
 
 class RecordingsScreenText(Wording):
@@ -69,7 +69,7 @@ class RecordingsTable(CellTable[RecordingRow]):
     HEADINGS = HEADINGS
 
     def cells(self, row: RecordingRow) -> tuple[tuple[str, str], ...]:
-        look = "strong" if row.fetch is None else _LOOKS[row.fetch.state]
+        look = "strong" if row.fetch is None else FETCH_LOOKS[row.fetch.state]
         begin, span, size, cause, topics = texts_of(row.recording)
         figures = (begin, ""), (span, ""), (size, ""), (cause, ""), (topics, "dim")
         return (row.recording.name, look), (row.side, ""), *figures
@@ -200,7 +200,7 @@ class RecordingsScreen(SidesScreen["RecordingGroup"]):
 def _lines(row: RecordingRow, width: int) -> Iterator[Line]:
     listed = row.recording
     if row.fetch is not None:
-        yield from wrapped(bar_text(row.fetch), width, _LOOKS[row.fetch.state])
+        yield from wrapped(bar_text(row.fetch), width, FETCH_LOOKS[row.fetch.state])
     if listed.problem:
         yield from wrapped(RecordingsScreenText.PROBLEM(problem=listed.problem), width, "waiting")
     if listed.note:

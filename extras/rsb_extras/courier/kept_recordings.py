@@ -139,11 +139,19 @@ class KeptRecordings:
         """
         async with self._listing:
             deadline = self._context.now() + _READ_FOR
-            return await asyncio.to_thread(self._list, rights, lambda: self._context.now() > deadline)
+            found = await asyncio.to_thread(self._list, rights, MOST_RECORDINGS, lambda: self._context.now() > deadline)
+            return sorted(found, key=lambda each: each.id)
 
-    def _list(self, rights: Rights | None, stop: Callable[[], bool]) -> list[ListedRecording]:
-        found = sorted(self._found(fetched=rights is None), key=lambda each: each.changed_at)[-MOST_RECORDINGS:]
-        return sorted((self._listed(each, rights, stop) for each in found), key=lambda each: each.id)
+    async def newest(self, most: int) -> list[ListedRecording]:
+        """Return those that came last, for this side's operators, the newest first and without their topics."""
+        async with self._listing:
+            deadline = self._context.now() + _READ_FOR
+            found = await asyncio.to_thread(self._list, None, most, lambda: self._context.now() > deadline)
+            return [replace(each, topics=()) for each in found]
+
+    def _list(self, rights: Rights | None, most: int, stop: Callable[[], bool]) -> list[ListedRecording]:
+        found = sorted(self._found(fetched=rights is None), key=lambda each: each.changed_at, reverse=True)
+        return [self._listed(each, rights, stop) for each in found[:most]]
 
     def find(self, key: str, stamp: str) -> Kept:
         """Return one that a peer may get, on any thread.

@@ -11,7 +11,7 @@ import asyncio
 from contextlib import contextmanager
 from enum import StrEnum
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
 
@@ -39,6 +39,7 @@ from rsb_extras.courier.courier_messages import (
     RecordingsAnswer,
 )
 from rsb_extras.courier.courier_records import MOST_RECORDINGS, PAGE
+from rsb_extras.courier.courier_requests import RecordingGroup
 from rsb_extras.courier.kept_recordings import FetchError, KeptProblem, KeptRecordings, may_read
 from rsb_extras.courier.picking import picked
 from rsb_extras.courier.pieces import Cutter, Piece, PieceError, PieceProblem, decode_piece, encode_piece
@@ -47,7 +48,7 @@ from rsb_extras.recording.reading.open_recording import OpenRecording
 from rsb_extras.recording.reading.stored_message import RecordingError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
 
     from rsb_bridge.feature_api import Link, Rights, Route
     from rsb_bridge.model.session import Direction
@@ -65,6 +66,8 @@ _BEGINS, _BEGINS_WITHIN = 20, 60.0
 _SILENT, _LOOK_EVERY = 120.0, 5.0
 """s without a slice, while the link is up, after which this side begins anew. Round figures: the least slice takes
 0.4 s at 5 kB/s, and longer beside topics."""
+_LATELY = 1.0
+"""s after a topic's message in which slices make room for the next one. A round figure."""
 _ENDED = "the recording is here"
 
 
@@ -78,6 +81,8 @@ class CourierCode(StrEnum):
     DONE = "courier.done"
     FAILED = "courier.failed"
     CANCELLED = "courier.cancelled"
+    REMOVED = "courier.removed"
+    """The oldest recording that was fetched is gone: `recordings.fetched` is full."""
 
 
 class CourierProblem(Wording):
@@ -140,6 +145,13 @@ class _Receiving:
         self.arrivals.put_nowait(error)
 
 
+class _Listed(NamedTuple):
+    """Recordings that the peer has kept for a cause, the newest first and without their topics, when it listed them."""
+
+    at: float
+    kept: tuple[ListedRecording, ...]
+
+
 class LinkCourier(AskingExtension):
     """One link's recordings, in both directions."""
 
@@ -161,6 +173,7 @@ class LinkCourier(AskingExtension):
         self._allowance = TokenBucket(_BEGINS, _BEGINS / _BEGINS_WITHIN, link.context.now())
         self._peer_has = False
         self._request = self._run = self._number = 0
+        self._listed: _Listed | None = None
         self._sending: _Sending | None = None
         self._finding: asyncio.Future[Cutter] | None = None
         self._receiving: _Receiving | None = None
@@ -294,6 +307,7 @@ class LinkCourier(AskingExtension):
     async def _send_slices(self, sending: _Sending, source: BytesSource, piece: bytes) -> None:
         pace, at = sending.pace, 0
         while at < len(piece):
+            pace.has_others = self._has_topics()
             await sending.until(lambda: pace.is_open)
             part = piece[at : at + pace.size]
             head = SLICE_HEAD.pack(sending.order.run & 0xFFFFFFFF, sending.given, at, len(piece))
@@ -303,12 +317,25 @@ class LinkCourier(AskingExtension):
                 raise LinkError(CourierProblem.NO_ROUTE())
             at += len(part)
 
+    def _has_topics(self) -> bool:
+        """Whether a message of another route has passed lately."""
+        since = self._context.now() - _LATELY
+        others = (route.meter.last for route in self._link.routes.values() if route.purpose is not PIECES)
+        return any(last is not None and last > since for last in others)
+
     def _log(self, kept: Kept, *, begins: bool) -> None:
         text = f"{kept.path}: {self._link.peer_name} {'gets it' if begins else 'has got it'}"
         code = CourierCode.BEGAN if begins else CourierCode.GIVEN
         self._context.log(Level.INFO, code, text, link=self._link.name, from_peer=True)
 
     # --- for this side's operators
+
+    def newest_kept(self, most: int) -> RecordingGroup:
+        """Return what the peer has kept for a cause, as far as it has listed that already, the newest first."""
+        if self._listed is None:
+            return RecordingGroup(self._link.name, age=None)
+        age = max(0.0, self._context.now() - self._listed.at)
+        return RecordingGroup(self._link.name, self._listed.kept[:most], age=age)
 
     async def recordings(self) -> tuple[ListedRecording, ...]:
         """Return the peer's recordings.
@@ -327,7 +354,9 @@ class LinkCourier(AskingExtension):
             found.update((each.id, each) for each in answer.recordings)
             last = max((each.id for each in answer.recordings), default="")
             if not answer.more or len(found) >= MOST_RECORDINGS:
-                return tuple(found.values())[:MOST_RECORDINGS]
+                listed = tuple(found.values())[:MOST_RECORDINGS]
+                self._listed = _Listed(self._context.now(), _newest_kept(listed))
+                return listed
             if last <= (after or ""):
                 raise LinkError(CourierProblem.LIES(link=self._link.name, error="a page without end"))
             after = last
@@ -442,6 +471,11 @@ class LinkCourier(AskingExtension):
     def _ended(self, ended: PiecesEnded) -> None:
         if self._receiving is not None and self._receiving.run == ended.run:
             self._receiving.end((FetchError if ended.is_final else LinkError)(ended.problem))
+
+
+def _newest_kept(listed: Iterable[ListedRecording]) -> tuple[ListedRecording, ...]:
+    kept = sorted((each for each in listed if each.cause), key=lambda each: each.begin, reverse=True)
+    return tuple(msgspec.structs.replace(each, topics=()) for each in kept)
 
 
 def _cutter(order: BeginPieces, topics: tuple[str, ...], kept: Kept) -> Cutter:

@@ -7,6 +7,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import yaml
 
+from rsb_extras.recording.reading.open_recording import OpenRecording
+from rsb_extras.recording.reading.stored_message import RecordingError
+
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
@@ -53,13 +56,10 @@ class BagFigures(NamedTuple):
 
 
 def bag_metadata(files: Sequence[Path], custom: Mapping[str, str]) -> tuple[str, BagFigures]:
-    """Return the metadata of MCAP files, and what is in those that are whole.
+    """Return the metadata of MCAP files, and what is in them, as far as it can be read.
 
     Args:
         custom: what rosbag2 calls ``custom_data``.
-
-    Raises:
-        OSError: one cannot be read.
     """
     read = [_read(path) for path in files]
     filled = [each for each in read if each.counts] or read
@@ -96,20 +96,12 @@ def _topics(counts: Mapping[_Topic, int]) -> Iterable[dict[str, Any]]:
 
 
 def _read(path: Path) -> _File:
-    from mcap.reader import make_reader  # noqa: PLC0415 -- bridges that record nothing do without
-
     counts: Counter[_Topic] = Counter()
     try:
-        with path.open("rb") as file:
-            summary = make_reader(file).get_summary()
-        if summary is None or summary.statistics is None:
-            return _File(path, 0, 0, Counter())
-        for number, count in summary.statistics.channel_message_counts.items():
-            channel = summary.channels[number]
-            type_hash, profiles = (channel.metadata.get(key, "") for key in ("topic_type_hash", "offered_qos_profiles"))
-            counts[_Topic(channel.topic, summary.schemas[channel.schema_id].name, type_hash, profiles)] += count
-    except OSError:
-        raise
-    except Exception:  # noqa: BLE001 -- the disk has damaged it: a reader says so, and the ring has to go on
-        return _File(path, 0, 0, Counter())
-    return _File(path, summary.statistics.message_start_time, summary.statistics.message_end_time, counts)
+        recording = OpenRecording(path)
+    except RecordingError:  # the disk has damaged it: a reader says so, and the ring has to go on
+        return _File(path, 0, 0, counts)
+    for channel, count in recording.counts.items():
+        if count:
+            counts[_Topic(channel.topic, channel.type_name, channel.type_hash, channel.profiles)] += count
+    return _File(path, recording.summary.begin, recording.summary.end, counts)

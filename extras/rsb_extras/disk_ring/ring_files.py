@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from rsb_bridge.feature_api import EventLog, TopicSpec
-    from rsb_extras.disk_ring.latched_messages import LatchedMessages
     from rsb_extras.disk_ring.stretches import KeptStretchFolder, Occasion, Stretch
     from rsb_extras.recording import RecordLimits
+    from rsb_extras.recording.latched_messages import LatchedMessages
     from rsb_extras.recording.message_ring import RingMessage
 
 GB = 1_000_000_000

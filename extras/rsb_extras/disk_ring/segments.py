@@ -4,24 +4,33 @@ from __future__ import annotations
 
 import contextlib
 import os
-from typing import IO, TYPE_CHECKING, Any, NamedTuple
+from typing import IO, TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.cdr.description import DescriptionError
 from rsb_bridge.config.files import owner_only, remove_file, whole_file
 from rsb_bridge.feature_api import sync_folder
 from rsb_extras.recording.mcap_file import McapFile
-from rsb_extras.recording.reading.mcap_records import MCAP_MAGIC
+from rsb_extras.recording.reading.mcap_records import (
+    CHUNK,
+    HEAD,
+    MCAP_MAGIC,
+    NEXT_FILE,
+    ChannelTable,
+    parsed_chunk,
+    records,
+    unpacked,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterator
     from pathlib import Path
 
     from rsb_extras.recording.mcap_file import RecordedTopic
     from rsb_extras.recording.message_ring import RingMessage
+    from rsb_extras.recording.reading.stored_message import StoredMessage
 
 SUFFIX = ".mcap"
-_LONGEST_RECORD = 1 << 30
-"""Bytes. A round figure: what a cut file says of its own lengths is not believed."""
+_MESSAGE_INDEX = 7  # opcode of a record
 
 
 class Segment(NamedTuple):
@@ -146,40 +155,39 @@ def complete(path: Path) -> Completed:
 
 def _copy(file: IO[bytes], copy: IO[bytes]) -> tuple[int, int]:
     """Copy the whole chunks of a file; return the number of messages, and where the last one of these chunks ends."""
-    from mcap.records import Channel, Message, Schema  # noqa: PLC0415 -- bridges that record nothing do without
-    from mcap.writer import IndexType, Writer  # noqa: PLC0415
-
-    writer: Any = Writer(copy, index_types=IndexType.CHUNK | IndexType.MESSAGE)
-    writer.start(profile="ros2", library="rsb-console")
-    schemas: dict[int, int] = {}
-    channels: dict[int, int] = {}
-    messages = end = 0
-    for position, records in _whole_chunks(file):
-        end = position
-        for each in records:
-            if isinstance(each, Schema):
-                schemas[each.id] = writer.register_schema(each.name, each.encoding, each.data)
-            elif isinstance(each, Channel):
-                schema = schemas[each.schema_id]
-                channels[each.id] = writer.register_channel(each.topic, each.message_encoding, schema, each.metadata)
-            elif isinstance(each, Message):
-                channel = channels[each.channel_id]
-                writer.add_message(channel, each.log_time, each.data, each.publish_time, each.sequence)
-                messages += 1
-    writer.finish()
-    return messages, end
+    recording, end = McapFile(copy), 0
+    for chunk_end, messages in _whole_chunks(file):
+        for each in messages:
+            recording.copy(each)
+        end = chunk_end
+    recording.finish()
+    return recording.messages, _behind_indices(file, end)
 
 
-def _whole_chunks(file: IO[bytes]) -> Iterator[tuple[int, Iterable[Any]]]:
-    """Yield the records of each chunk that is whole by its checksum, from the first on, and where it ends (bytes)."""
-    from mcap.records import Chunk, MessageIndex  # noqa: PLC0415
-    from mcap.stream_reader import StreamReader, breakup_chunk  # noqa: PLC0415
-
-    reader = StreamReader(file, emit_chunks=True, record_size_limit=_LONGEST_RECORD)
-    # Behind a cut, a disk has nothing, zeros, or another file's bytes, on which the library raises whatever it does.
+def _whole_chunks(file: IO[bytes]) -> Iterator[tuple[int, list[StoredMessage]]]:
+    """Yield where each chunk ends that is whole by its checksum (bytes), from the first on, and its messages."""
+    table = ChannelTable()
+    # Behind a cut, a disk has nothing, zeros, or another file's bytes, on which a library raises whatever it does.
     with contextlib.suppress(Exception):
-        for each in reader.records:
-            if isinstance(each, Chunk):
-                yield file.tell(), breakup_chunk(each, validate_crc=True)
-            elif isinstance(each, MessageIndex):
-                yield file.tell(), ()
+        if file.read(len(MCAP_MAGIC)) != MCAP_MAGIC:
+            return
+        for kind, at, content in records(file):
+            if kind == NEXT_FILE:
+                return
+            if kind == CHUNK:
+                chunk = parsed_chunk(content)
+                yield at + len(content), [*table.messages(unpacked(chunk), len(chunk.data))]
+
+
+def _behind_indices(file: IO[bytes], end: int) -> int:
+    """Return where the whole indices of messages end that follow a chunk."""
+    size = file.seek(0, os.SEEK_END)
+    while True:
+        file.seek(end)
+        head = file.read(HEAD.size)
+        if len(head) < HEAD.size:
+            return end
+        kind, length = HEAD.unpack(head)
+        if kind != _MESSAGE_INDEX or length > size - file.tell():
+            return end
+        end = file.tell() + length

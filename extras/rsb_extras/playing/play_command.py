@@ -19,6 +19,7 @@ from rsb_console.feature_console import (
     print_line,
     redraw_line,
 )
+from rsb_extras.playing.latched_room import LATCHED_BYTES
 from rsb_extras.playing.play_keys import play_keys
 from rsb_extras.playing.played_topics import PlayedPublishers, PlayText, check_number, choose
 from rsb_extras.playing.player import SECOND, Player, PlaySpan
@@ -174,9 +175,11 @@ def _result(
     say([PlayText.PLAYED(messages=player.messages, seconds=seconds, p50=p50, p99=p99)])
     for (topic, reason), count in player.failed.items():
         print_error(escape_text(PlayText.FAILED(count=count, topic=topic, reason=reason)))
+    for topic, count in player.room.left_out.items():
+        print_error(escape_text(PlayText.NO_ROOM(count=count, topic=topic, limit=LATCHED_BYTES >> 20)))
     if player.error:
         print_error(escape_text(PlayText.DAMAGED(path=arguments.file, reason=player.error)))
-    is_whole = not player.error and not player.failed
+    is_whole = not (player.error or player.failed or player.room.left_out)
     if arguments.json:
         figures = {"messages": player.messages, "seconds": seconds, "late_ms_p50": p50, "late_ms_p99": p99}
         print_line(json_line({"ok": is_whole, **figures, "error": player.error, "cut": cut}))

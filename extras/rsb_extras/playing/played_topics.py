@@ -44,6 +44,10 @@ class PlayText(Wording):
         "moves at once, by what is recorded. Play it there?"
     )
     FAILED = "{count:,} messages of {topic} were not published: {reason}"
+    NO_ROOM = (
+        "{count:,} messages of {topic} were left out: the latched topics have more than the {limit} MiB that a player "
+        "keeps for late joiners; name fewer with --topics"
+    )
     DAMAGED = "{path}: {reason}; it was played up to there"
     PLAYED = "played {messages:,} messages in {seconds:.1f} s; late by {p50:.2f} ms (p50), {p99:.2f} ms (p99)"
 

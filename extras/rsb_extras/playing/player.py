@@ -18,12 +18,13 @@ from rsb_bridge.cdr.description import (
     text_of,
 )
 from rsb_bridge.feature_api import Qos, RosError, TopicSpec
+from rsb_extras.playing.latched_room import LatchedRoom
 from rsb_extras.playing.played_topics import CLOCK
 from rsb_extras.playing.read_ahead import ReadAhead
 from rsb_extras.recording.reading.stored_message import RecordingError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from rsb_bridge.feature_api import Publisher
     from rsb_bridge.ros.node import RosNode
@@ -36,7 +37,6 @@ SECOND = 1_000_000_000
 _LOOK_EVERY = 0.05  # s between two looks at the keys, while messages are always due
 _TOLD_EVERY = 0.25  # s between two lines of state
 _LATENESSES = 100_000  # the last ones, of which percentiles are told
-_LATCHED_BYTES = 64 << 20  # of one publisher's messages before the begin. A round figure: twelve maps
 _ACKNOWLEDGED_WITHIN = 10.0  # s. A round figure: on one machine 1 ms, for large messages on a busy one some s
 _CLOCK_TYPE, _TIME_TYPE = "rosgraph_msgs/msg/Clock", "builtin_interfaces/msg/Time"
 _INT32, _UINT32 = 6, 7
@@ -92,6 +92,7 @@ class Player:
         failed: number of those that DDS refused, by topic and reason.
         late: s by which the last messages were published too late.
         error: why the rest of the recording was not played, or empty.
+        room: for messages that late joiners get.
     """
 
     def __init__(
@@ -107,6 +108,7 @@ class Player:
         self.failed: Counter[tuple[str, str]] = Counter()
         self.late: deque[float] = deque(maxlen=_LATENESSES)
         self.error = ""
+        self.room = LatchedRoom()
         self._recording = recording
         self._publishers = publishers
         self._span = span
@@ -180,7 +182,7 @@ class Player:
 
     def _publish(self, message: StoredMessage) -> None:
         played = self._publishers.of(message.channel)
-        if played is None:
+        if played is None or not self.room.has_room(played, message):
             return
         try:
             played.publisher.publish(bytes(message.content))
@@ -215,19 +217,13 @@ class Player:
 
     def _latched_before(self, at: int) -> list[StoredMessage]:
         """Return the messages that late joiners would get at a time, in their order."""
-        kept: dict[int, deque[StoredMessage]] = {}
         if not self._publishers.latched:
             return []
+        return self.room.newest(self._undamaged(self._publishers.latched, at), self._publishers)
+
+    def _undamaged(self, topics: set[str], end: int) -> Iterator[StoredMessage]:
         with suppress(RecordingError):  # the damage is met again, and told, where it is played
-            for message in self._recording.messages(topics=self._publishers.latched, end=at):
-                if (played := self._publishers.of(message.channel)) is None or not played.kept:
-                    continue
-                messages = kept.setdefault(id(played), deque(maxlen=played.kept))
-                # A view would hold the whole chunk.
-                messages.append(message._replace(content=memoryview(bytes(message.content))))
-                while len(messages) > 1 and sum(len(each.content) for each in messages) > _LATCHED_BYTES:
-                    messages.popleft()
-        return sorted((each for messages in kept.values() for each in messages), key=lambda each: each.time)
+            yield from self._recording.messages(topics=topics, end=end)
 
     def _position(self, now: float) -> int:
         passed = 0.0 if self._is_paused else (now - self._since) * self._span.rate

@@ -17,6 +17,8 @@ from rsb_extras.courier.courier_requests import (
     FetchState,
     ListFetches,
     ListRecordings,
+    NewestRecordings,
+    RecordingGroup,
 )
 
 if TYPE_CHECKING:
@@ -33,11 +35,11 @@ def robot_features(bags: Path, *, may: bool = True) -> dict[str, Any]:
 
 
 def two_sides(
-    bridge: Bridge, bags: Path, *, may: bool = True, here: Path | None = None, **others: Any
+    bridge: Bridge, bags: Path, *, may: bool = True, own: RecordingFolders | None = None, **others: Any
 ) -> tuple[Engine, Engine]:
-    """Return the control PC, with a folder of recordings if it has one, and the robot that lets it get its own."""
+    """Return the control PC, with folders of its own if they are given, and the robot that lets it get recordings."""
     robot = bridge.client(features=robot_features(bags, may=may), **others)
-    pc = bridge.server(features={} if here is None else robot_features(here, may=False))
+    pc = bridge.server(features={RECORDINGS_KEY.name: own} if own is not None else {})
     eventually(lambda: linked(pc) and linked(robot), what="linked")
     return pc, robot
 
@@ -46,6 +48,10 @@ def listed(engine: Engine, link: str = "robot1") -> dict[str, ListedRecording]:
     (group,) = engine.do(ListRecordings(link)).result(60)
     assert not group.problem, group.problem
     return {each.name: each for each in group.recordings}
+
+
+def newest(engine: Engine, most: int = 8) -> tuple[RecordingGroup, ...]:
+    return engine.do(NewestRecordings(most=most)).result(60)
 
 
 def fetch(engine: Engine, name: str, *topics: str, begin: int = 0, end: int = LATEST) -> str:

@@ -69,7 +69,7 @@ class Beside(NamedTuple):
     fetched: float
 
 
-def _beside(seed: int, size: int, bags: Path, *, fetches: bool) -> Beside:
+def topic_beside(seed: int, size: int, bags: Path, *, fetches: bool) -> Beside:
     """Play a robot with a topic of 20 Hz behind 1 Mbit/s."""
     world = World(seed, replace(STILL, patience=4.0))
     (robot,) = world.robots
@@ -118,7 +118,7 @@ def beside(folder: Path) -> None:
     for size in (1_000, 4_000):
         for fetches in (False, True):
             for seed in (1, 2, 3):
-                one = _beside(seed, size, folder, fetches=fetches)
+                one = topic_beside(seed, size, folder, fetches=fetches)
                 what = f"beside a fetch of {one.fetched / 1000:.0f} kB/s" if fetches else "alone"
                 ages = f"p50 {one.p50 * 1000:.0f} ms, p99 {one.p99 * 1000:.0f} ms"
                 print(f"20 Hz of {size:,} B, seed {seed}, {what}: {one.rate:.1f} Hz, {ages}", flush=True)

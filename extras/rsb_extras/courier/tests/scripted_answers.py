@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from msgspec.structs import replace
+
 from rsb_extras.courier.completed_recording import (
     ClockSource,
     CompletedClock,
@@ -20,6 +22,7 @@ from rsb_extras.courier.courier_requests import (
     FetchState,
     ListFetches,
     ListRecordings,
+    NewestRecordings,
     RecordingGroup,
 )
 
@@ -60,8 +63,13 @@ def _listed(command: ListRecordings) -> Any:
     return tuple(group for group in GROUPS if command.link in ("", group.link))
 
 
+def _newest(_: NewestRecordings) -> Any:
+    return GROUPS[0], replace(GROUPS[1], recordings=(replace(DRIVE, topics=()),), age=200.0)
+
+
 ANSWERS: dict[Any, Any] = {
     ListRecordings: _listed,
+    NewestRecordings: _newest,
     FetchRecording: lambda _: DONE.name,
     ListFetches: lambda _: (FETCH, DONE),
     CancelFetch: lambda _: None,

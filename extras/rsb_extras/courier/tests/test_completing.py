@@ -14,6 +14,7 @@ from tests.support.relay import Relay
 from tests.support.waiting import eventually
 
 from rsb_bridge.api import EngineError
+from rsb_extras.courier import RecordingFolders
 from rsb_extras.courier.completed_recording import ClockSource, CompletedRecording, MissingReason
 from rsb_extras.courier.courier_records import LATEST
 from rsb_extras.courier.courier_requests import CancelFetch, FetchRecording, FetchState
@@ -163,7 +164,7 @@ def test_a_recording_that_is_named_is_completed_whole(bridge: Bridge, bags: Path
     here = bags.parent / "here"
     here.mkdir()
     write_bag(here / "mine.mcap", [came(each) for each in whole if each.number % 2])
-    pc, _ = two_sides(bridge, bags, here=here)
+    pc, _ = two_sides(bridge, bags, own=RecordingFolders((str(here),)))
     found, result = completed(pc, live="mine")
     assert found.messages == 300
     assert [(each.live, each.only_live, each.fetched) for each in result.topics] == [(200, 100, 100)]

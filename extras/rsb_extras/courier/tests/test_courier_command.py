@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import Future
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -13,13 +14,17 @@ from tests.console.scripted import ScriptedEngine, answers
 from rsb_console.command.shell import FAILURE, OK, USAGE
 from rsb_extras.courier.completed_recording import ClockSource, CompletedClock, CompletedRecording
 from rsb_extras.courier.completed_text import completed_lines
+from rsb_extras.courier.courier_command import CourierCommandText
 from rsb_extras.courier.courier_records import LATEST
 from rsb_extras.courier.courier_requests import CancelFetch, FetchRecording, FetchState, ListFetches
+from rsb_extras.courier.tests.courier_places import ANSWERED_WITHIN, WAITED_WITHIN
 from rsb_extras.courier.tests.scripted_answers import BEGAN, COMPLETED, DONE, DRIVE, FETCH
 
 if TYPE_CHECKING:
     from tests.support.commands import Ran
     from tests.support.control import Machine
+
+    from rsb_bridge.model.commands import Command
 
 Run = Callable[..., "Ran"]
 SECOND = 1_000_000_000
@@ -44,6 +49,16 @@ def asked(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> list[Any]:
         monkeypatch.setitem(known, kind, reply)
     machine.have(ScriptedEngine())
     return commands
+
+
+def silent_at(kind: type[Command[Any]]) -> ScriptedEngine:
+    """Return an engine that does not answer one kind of command."""
+
+    class Silent(ScriptedEngine):
+        def _execute(self, command: Command[Any], step: Callable[[str], None] | None) -> Future[Any]:
+            return Future() if isinstance(command, kind) else super()._execute(command, step)
+
+    return Silent()
 
 
 def test_recordings_of_both_sides_are_listed(machine: Machine, ran: Run) -> None:
@@ -136,6 +151,24 @@ def test_a_failed_fetch_is_a_failure(machine: Machine, ran: Run, monkeypatch: py
     machine.have(ScriptedEngine())
     found = ran("record", "get", "robot1", DRIVE.name, "--json")
     assert (found.code, found.json["ok"], found.json["error"]) == (FAILURE, False, "the recording has changed")
+
+
+def test_a_list_that_takes_long_leaves_the_fetch_to_the_bridge(
+    machine: Machine, ran: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    WAITED_WITHIN.set(monkeypatch, 0.1)
+    machine.have(silent_at(FetchRecording))
+    found = ran("record", "get", "robot1", DRIVE.name)
+    text = CourierCommandText.ASKED(link="robot1", name=DRIVE.name, seconds=0.1)
+    assert (found.code, found.out, text in found.err) == (FAILURE, "", True)
+    assert ran("record", "get", "robot1", DRIVE.name, "--no-wait", "--json").json == {"ok": False, "error": text}
+
+
+def test_a_bridge_that_falls_silent_may_go_on(machine: Machine, ran: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    ANSWERED_WITHIN.set(monkeypatch, 0.1)
+    machine.have(silent_at(ListFetches))
+    found = ran("record", "get", "robot1", DRIVE.name)
+    assert (found.code, CourierCommandText.GOES_ON(name=DONE.name) in found.err) == (FAILURE, True)
 
 
 def test_a_fetch_is_given_up(asked: list[Any], ran: Run) -> None:

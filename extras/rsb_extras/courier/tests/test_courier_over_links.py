@@ -9,22 +9,24 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.support.bridge import happened
+from tests.support.bridge import happened, linked
 from tests.support.relay import Relay
 from tests.support.waiting import eventually
 from tests.support.wording import says
 
 from rsb_bridge.api import EngineError
+from rsb_extras.courier.courier_part import FetchProblem
 from rsb_extras.courier.courier_requests import (
     CancelFetch,
     FetchState,
     ListRecordings,
+    RecordingGroup,
 )
 from rsb_extras.courier.kept_recordings import FetchError, KeptProblem
 from rsb_extras.courier.link_courier import CourierCode
 from rsb_extras.courier.tests.bags import BEGAN, SECOND, in_bag, messages, write_bag
-from rsb_extras.courier.tests.courier_bed import done, fetch, fetches, listed, report, robot_features, two_sides
-from rsb_extras.courier.tests.courier_places import CUTTER, QUICK
+from rsb_extras.courier.tests.courier_bed import done, fetch, fetches, listed, newest, report, robot_features, two_sides
+from rsb_extras.courier.tests.courier_places import CUTTER, LISTED_WITHIN, QUICK
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -45,6 +47,31 @@ def test_recordings_are_listed_with_what_is_in_them(bridge: Bridge, bags: Path) 
         ("/scan", "std_msgs/msg/String", 40),
         ("/tf", "std_msgs/msg/String", 40),
     ]
+
+
+def test_what_was_kept_is_known_without_asking_again(bridge: Bridge, bags: Path) -> None:
+    """So a tile costs a thin link nothing."""
+    write_bag(bags / "drive.mcap", messages(1))
+    (bags / "fault").mkdir()
+    write_bag(bags / "fault" / "fault_0.mcap", messages(1))
+    (bags / "fault" / "metadata.yaml").write_text("rosbag2_bagfile_information:\n  custom_data: {cause: fault}\n")
+    pc, robot = two_sides(bridge, bags)
+    here, there = newest(pc)
+    assert (here, there) == (RecordingGroup(), RecordingGroup("robot1", age=None))
+    listed(pc)
+    robot.stop()
+    eventually(lambda: not linked(pc), what="the link is down")
+    (fault,) = newest(pc)[1].recordings
+    assert (fault.name, fault.cause, fault.topics) == ("fault", "fault", ())
+
+
+def test_newest_recordings_are_those_that_came_last(bridge: Bridge, bags: Path, fetched: Path) -> None:
+    fetched.mkdir(parents=True)
+    for at, name in enumerate(("b", "c", "a")):
+        write_bag(fetched / f"{name}.mcap", messages(1))
+        os.utime(fetched / f"{name}.mcap", (BEGAN / SECOND + at,) * 2)
+    pc, _ = two_sides(bridge, bags)
+    assert [each.name for each in newest(pc, 2)[0].recordings] == ["a.mcap", "c.mcap"]
 
 
 def test_why_a_recording_was_kept_is_listed(bridge: Bridge, bags: Path) -> None:
@@ -248,3 +275,16 @@ def test_one_comes_after_the_other(bridge: Bridge, bags: Path, fetched: Path) ->
     with pytest.raises(EngineError, match="several recordings drive"):
         fetch(pc, "drive")
     assert done(pc, fetch(pc, "drive1")).name == "robot1-drive1-2"
+
+
+def test_a_fetch_that_cannot_begin_later_is_logged(bridge: Bridge, bags: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By then, no operator may wait for the answer."""
+    pc, _ = two_sides(bridge, bags)
+    with pytest.raises(EngineError):
+        fetch(pc, "drive.mcap")
+    assert not happened(pc, CourierCode.FAILED)
+    LISTED_WITHIN.set(monkeypatch, 0.0)
+    with pytest.raises(EngineError):
+        fetch(pc, "drive.mcap")
+    reason = FetchProblem.UNKNOWN(link="robot1", name="drive.mcap")
+    assert happened(pc, CourierCode.FAILED, FetchProblem.NONE, name="drive.mcap", reason=reason)

@@ -30,6 +30,12 @@ def test_mistakes_name_their_place(folders: tuple[str, ...], place: str, text: s
     assert [*problems(session(*folders))] == [(place, text)]
 
 
+def test_size_of_fetched_recordings_has_a_range() -> None:
+    features = {RECORDINGS_KEY.name: RecordingFolders(fetched=0)}
+    found = [*problems(Session(name="pc", role="server", server_ip="0.0.0.0", features=features))]
+    assert found == [("recordings.fetched", "0 is out of range: 0.01 to 100000")]
+
+
 def test_folders_that_are_there_have_no_advice(tmp_path: Path) -> None:
     file, missing = tmp_path / "robot1.yaml", str(tmp_path / "missing")
     assert [*problems(session(str(tmp_path), missing))] == []

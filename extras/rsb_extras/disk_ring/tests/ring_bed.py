@@ -18,11 +18,11 @@ from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.native.rosidl_descriptions import installed_description
 from rsb_bridge.ros.ros_interface import TopicSpec
 from rsb_bridge.telemetry.event_log import EventLog
-from rsb_extras.disk_ring.latched_messages import LatchedMessages
 from rsb_extras.disk_ring.ring_files import RingClocks, RingFiles, RingPlace
 from rsb_extras.disk_ring.segments import complete
 from rsb_extras.disk_ring.stretches import Occasion
 from rsb_extras.recording import RecordLimits
+from rsb_extras.recording.latched_messages import LatchedMessages
 from rsb_extras.recording.mcap_file import RecordedTopic
 from rsb_extras.recording.message_ring import RingMessage
 from rsb_extras.recording.tests.recordings import read_strictly

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import threading
+from functools import partial
+from random import Random
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.support.bridge import carries, halves, happened, reloaded
+from tests.engine.arming_helpers import COMMANDS, is_set_up
+from tests.support.bridge import carries, halves, happened, reloaded, route
 from tests.support.domain import LATCHED, text
 from tests.support.inside import inside
 from tests.support.participants import KnownNode
-from tests.support.waiting import eventually
+from tests.support.waiting import eventually, holds
 from tests.support.wording import pattern
 
 from rsb_bridge.api import EngineError
@@ -29,11 +32,15 @@ from rsb_extras.recording.keep_last import KeepLast
 from rsb_extras.recording.tests.recordings import read
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
     from tests.support.bridge import Bridge
+    from tests.support.consoles import Consoles
     from tests.support.domain import Domain
     from tests.support.relay import Relay
+
+    from rsb_bridge.engine import Engine
 
 ON = {"record": RecordLimits(disk=1.0, free=0.0, after=0.0)}
 
@@ -86,6 +93,36 @@ def test_lost_link_keeps_a_stretch(bridge: Bridge, robot: Domain, pc: Domain, re
     assert metadata(stretch)["custom_data"]["subject"] == "robot1"
 
 
+def by_operator(server: Engine) -> None:
+    server.disarm(route(server, "/cmd").key).result(30)
+
+
+def by_pause(server: Engine) -> None:
+    server.pause(route(server, "/cmd").key, paused=True).result(30)
+
+
+@pytest.mark.usefixtures("long_lease")
+@pytest.mark.parametrize("disarm", [by_operator, by_pause])
+def test_a_disarm_keeps_a_stretch_on_both_sides(
+    disarm: Callable[[Engine], None], bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles, folder: Path
+) -> None:
+    """Of a topic that was armed: what moved the robot until then is in it, and nothing that came later."""
+    motors, joystick = robot.listener("/cmd"), pc.publisher("/cmd")
+    server, client = bridge.both(COMMANDS, features={"record": ON["record"]})
+    eventually(lambda: is_set_up(server, client))
+    holds(lambda: not [*folder.glob("*")], 0.5)
+    consoles.arm(server)
+    eventually(lambda: joystick.publish(text("go")) or "go" in motors.texts(100))
+    disarm(server)
+    joystick.publish(text("too late"))
+    eventually(lambda: len([*folder.glob("*-disarm*")]) == 2)
+    for each in folder.glob("*-disarm*"):
+        assert set(texts(each, "/cmd")) == {"go"}
+        custom = metadata(each)["custom_data"]
+        assert (custom["cause"], custom["subject"]) == ("disarm", "/cmd")
+        assert "disarmed" in custom["text"]
+
+
 @pytest.mark.parametrize("code", map(EventCode, REASONS))
 def test_events_keep_stretches(code: EventCode, bridge: Bridge, robot: Domain, folder: Path) -> None:
     client = bridge.client(
@@ -98,6 +135,28 @@ def test_events_keep_stretches(code: EventCode, bridge: Bridge, robot: Domain, f
     inside(client).context.events.add(Level.WARNING, code, "what happened", topic="/chat")
     stretch = wait_for(folder, REASONS[code])
     assert metadata(stretch)["custom_data"]["text"] == "what happened"
+
+
+def test_no_publisher_pushes_out_another_of_a_latched_topic(bridge: Bridge, robot: Domain, folder: Path) -> None:
+    """Neither in memory nor on disk, however much the other one publishes."""
+    bridge.server()
+    quiet, busy = (robot.publisher("/tf_static", qos=LATCHED) for _ in range(2))
+    quiet.publish(text("quiet"))
+    limits = RecordLimits(seconds=1.0, disk=0.04, free=0.0, after=0.0)
+    client = bridge.client(Topic("/tf_static", "transmit"), features={"record": limits})
+    chance = Random(1)
+
+    def goes_on() -> bool:
+        busy.publish(text(chance.randbytes(20_000).hex()))
+        return len(ring(folder)) > 2  # each of more than a megabyte
+
+    eventually(goes_on, what="three files")
+    for file in ring(folder)[:-1]:
+        assert texts(file, "/tf_static")[0] == "quiet"
+    kept = partial(client.do, KeepLast(None))
+    # Of older messages, 64 KiB stay.
+    eventually(lambda: kept().result(60).messages <= 3, what="all is older than 1 s")
+    assert [len(each.message.data) for each in read(kept().result(60).path)] == [len("quiet"), 40_000, 40_000]
 
 
 def test_others_topics_are_in_it_if_the_session_says_so(bridge: Bridge, robot: Domain, folder: Path) -> None:

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from rsb_extras.disk_ring.latched_messages import LatchedMessages
 from rsb_extras.disk_ring.ring_codes import RingCode
 from rsb_extras.disk_ring.tests.ring_bed import FRAMES, LATCHED, RingBed, message, spec, texts
 from rsb_extras.recording import RecordLimits
+from rsb_extras.recording.latched_messages import LatchedMessages
 from rsb_extras.recording.tests.recordings import read, read_strictly
 
 if TYPE_CHECKING:

@@ -139,6 +139,24 @@ async def test_nodes_are_a_tile(app: ConsoleApp, pilot: Pilot[None]) -> None:
 
 
 @on_tiles()
+async def test_recordings_are_a_tile(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await choose(pilot, "recordings")
+    for words in (
+        "robot1-drive",
+        "[#.....] 25%, 1.5 MB/s, 84 s left",
+        "kept by the server, listed 3 min ago",
+        "fault: /scan stopped  184 MB",
+        "newest of this side",
+        "8.4 MB  noon.mcap  ",
+    ):
+        await shown(pilot, words)
+    told = {str(command[0]) for command in engine_of(app).commands}
+    assert {each for each in told if "recordings" in each} == {"newest recordings"}, (
+        "the other side is asked for nothing"
+    )
+
+
+@on_tiles()
 async def test_tiles_do_not_overlap_and_fill_screen(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await overview(pilot)
     regions = [tile.region for tile in screen_of(app).tiles]

@@ -14,6 +14,7 @@ from tests.support.wording import says
 
 from rsb_extras.playing.played_topics import PlayText
 from rsb_extras.playing.player import clock_message
+from rsb_extras.playing.tests.playing_places import LATCHED_BYTES
 from rsb_extras.playing.tests.recorded import BEGIN, LATCHED, ODD, ODD_HASH, ODD_TYPE, Recorded, odd, string
 
 if TYPE_CHECKING:
@@ -223,6 +224,26 @@ def test_late_joiners_get_nothing_of_volatile_publishers(recorded: Recorded, hea
     recorded.add("/text", 1.0, string("x"))
     recorded.done()
     assert json.loads(ran(*words(recorded, hearing, "--from", "0.5", "--json")).out)["messages"] == 2
+
+
+def test_latched_messages_have_a_bound_in_all(
+    recorded: Recorded, hearing: Hearing, ran: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A recording says how deep its topics are, and may be anybody's."""
+    LATCHED_BYTES.set(monkeypatch, 2_000_000)
+    deep = LATCHED.replace("depth: 1", "depth: 900")
+    for topic in ("/a", "/b"):
+        recorded.topic(topic, profiles=deep)
+        for number in range(12):
+            recorded.add(topic, 0.01 * number, string(f"{number} {'x' * 100_000}"))
+    recorded.topic("/small", profiles=LATCHED)  # each of its messages takes the place of the one before
+    for number in range(5):
+        recorded.add("/small", 0.01 * number, string(f"{number} {'x' * 20_000}"))
+    recorded.done()
+    for options in ((), ("--from", "0.11")):  # as it is played, and as late joiners had it
+        done = ran(*words(recorded, hearing, *options))
+        said = [each for each in ("/a", "/b", "/small") if says(done.err, PlayText.NO_ROOM, topic=each)]
+        assert (done.code, "/small" in said, bool(said)) == (1, False, True), done
 
 
 # --- what cannot be played

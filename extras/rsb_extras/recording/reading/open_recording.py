@@ -159,7 +159,7 @@ class OpenRecording:
     """A recording, of which only the index is in memory; no file stays open.
 
     Attributes:
-        channels: of all files, each once.
+        counts: number of messages of each channel of all files.
         summary: RecordingSummary.
 
     Raises:
@@ -179,7 +179,7 @@ class OpenRecording:
             counts.update(index.counts)
         for channel, count in counts.items():
             topics[channel.topic] = channel.type_name, topics.get(channel.topic, ("", 0))[1] + count
-        self.channels = [*counts]
+        self.counts = counts
         self.summary = RecordingSummary(
             begin=self._blocks[0][1].begin if self._blocks else 0,
             end=max((block.end for block in blocks), default=0),
@@ -192,6 +192,11 @@ class OpenRecording:
                 if index.cut
             ),
         )
+
+    @property
+    def channels(self) -> list[StoredChannel]:
+        """Those of all files, each once."""
+        return [*self.counts]
 
     def messages(
         self, *, topics: Container[str] | None = None, begin: int | None = None, end: int | None = None

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from tests.command.conftest import here, ran
 from tests.console.conftest import _parsed_once, _same_everywhere, _toasts_stay
-from tests.engine.conftest import _answers_take_their_time, consoles, loop, make_context
+from tests.engine.conftest import _answers_take_their_time, consoles, long_lease, loop, make_context
 
 __all__ = [
     "_answers_take_their_time",
@@ -16,6 +16,7 @@ __all__ = [
     "_toasts_stay",
     "consoles",
     "here",
+    "long_lease",
     "loop",
     "make_context",
     "ran",

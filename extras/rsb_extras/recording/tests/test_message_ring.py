@@ -83,13 +83,14 @@ def test_newest_of_latched_topic_stays() -> None:
     assert (times(latched), messages) == ([2.0], [])
     ring.add(message(1001.0, 100_000, MAP))
     latched, messages = ring.copy(1001.0)
-    assert (latched, times(messages)) == ([], [1001.0]), "the new map replaces the old one"
+    assert (times(latched), times(messages)) == ([2.0], [1001.0]), "a late joiner of before has the old map"
+    assert times(ring.copy(1012.0)[0]) == [1001.0], "the new map replaces the old one"
 
 
 def test_small_latched_messages_stay_together() -> None:
     ring = MessageRing(10.0, 1 << 20)
     for at in range(20):
-        ring.add(message(at, 300, FRAMES))
+        ring.add(message(at, b"%300d" % at, FRAMES))
     assert times(ring.copy(1000.0)[0]) == [*range(20)]
 
 

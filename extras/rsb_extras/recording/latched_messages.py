@@ -1,4 +1,4 @@
-"""The messages that late joiners get, with which each segment begins."""
+"""The messages that late joiners get, with which each recording begins."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ if TYPE_CHECKING:
 
     from rsb_extras.recording.message_ring import RingMessage
 
-_SIZE = 128 << 20
-"""Bytes of all. A round figure: beyond it, the topic with the most gives up its oldest message."""
+_SIZE = 128 << 20  # A round figure
 _OLDER = 64 << 10
 """Bytes of a publisher's older messages that stay with its newest one. A round figure; those that came over a link,
 whose publishers nobody tells apart, have 16 times as much."""
@@ -41,11 +40,21 @@ class LatchedMessages:
     """The newest messages of latched topics, by publisher: those of one never push out another's, as on /tf_static.
 
     Of the same content from two publishers, such as a node and itself started again, the newer one stays.
+
+    Args:
+        most: bytes of all, beyond which the topic with the most gives up its oldest message.
+
+    Attributes:
+        size: bytes of all.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, most: int = _SIZE) -> None:
         self._topics: dict[str, _Topic] = {}
+        self._most = most
         self.size = 0
+
+    def __len__(self) -> int:
+        return sum(len(topic.publisher_of) for topic in self._topics.values())
 
     def __iter__(self) -> Iterator[RingMessage]:
         """Yield all, oldest first."""
@@ -73,9 +82,13 @@ class LatchedMessages:
             oldest = next(iter(topic.publishers))
             while oldest in topic.publishers:
                 self._forget_oldest(topic, oldest)
-        while self.size > _SIZE and self.size > cost:
-            largest = max(self._topics.values(), key=attrgetter("size"))
-            self._forget_oldest(largest, next(iter(largest.publishers)))
+        while self.size > self._most and self.size > cost:
+            self.give_way()
+
+    def give_way(self) -> None:
+        """Forget the oldest message of the topic that has the most bytes."""
+        largest = max(self._topics.values(), key=attrgetter("size"))
+        self._forget_oldest(largest, next(iter(largest.publishers)))
 
     def _forget_oldest(self, topic: _Topic, publisher: bytes) -> None:
         self._forget(topic, publisher, next(iter(topic.publishers[publisher].messages)))

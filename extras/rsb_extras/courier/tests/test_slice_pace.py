@@ -1,0 +1,53 @@
+"""How much a fetch has in transit, alone and beside topics; the second on virtual time."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rsb_extras.courier.slices import Pace
+from rsb_extras.courier.tests.bags import messages, write_bag
+from rsb_extras.courier.tests.fetch_cost import topic_beside
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def cross(pace: Pace, *took: float) -> int:
+    """Have slices cross one after the other, each in so many s; return the size of the next one."""
+    for number, seconds in enumerate(took, 1):
+        pace.sent(0.0)
+        pace.heard(number, seconds)
+    return pace.size
+
+
+def under_way(pace: Pace) -> int:
+    """Return how many slices are under way once no more may be."""
+    count = 0
+    while pace.is_open:
+        pace.sent(0.0)
+        count += 1
+    return count
+
+
+def test_slices_beside_topics_are_fewer_and_smaller() -> None:
+    alone, beside = Pace(), Pace()
+    beside.has_others = True
+    took = (0.1, 0.145, 0.145)
+    assert cross(alone, *took) > cross(Pace(), 0.1) > cross(beside, *took)
+    assert (under_way(alone), under_way(beside)) == (2, 1)
+
+
+def test_large_slices_beside_topics_are_two() -> None:
+    """Else a long line would be empty while an answer comes back."""
+    pace = Pace()
+    pace.has_others = True
+    cross(pace, *[0.1] * 5)
+    assert under_way(pace) == 2
+
+
+def test_topic_beside_a_fetch_hardly_waits(bags: Path) -> None:
+    """20 Hz of 1,000 B behind 1 Mbit/s, whose p99 is 20 ms alone, and was 140 ms with two slices under way."""
+    write_bag(bags / "drive.mcap", messages(120, 5000))
+    beside = topic_beside(1, 1_000, bags, fetches=True)
+    assert beside.p99 < 0.06
+    assert beside.fetched > 80_000
