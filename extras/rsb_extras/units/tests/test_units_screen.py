@@ -109,6 +109,7 @@ async def test_a_missing_right_is_named_with_its_remedy(app: ConsoleApp, pilot: 
     await opened(pilot, "j", "x")
     remedy = "may: {units: [gripper]}"
     await notified(pilot, SideText.LACKS, side="the server", act="restart unit gripper", entry=remedy)
+    await shown(pilot, "file there")  # the end of it, in a message that is not cut
     assert told(app) == []
 
 
