@@ -132,6 +132,10 @@ class PeerRight(Generic[T]):
         value: T = self.default if given is None else getattr(given, self.name, self.default)  # it may be left out
         return value
 
+    def entry(self, value: str) -> str:
+        """Return the entry of a session file that gives the right, of its value there: ``may: {units: [nav]}``."""
+        return f"{MAY}: {{{self.name}: {value}}}"
+
 
 @dataclass(frozen=True)
 class EntryKey(Generic[T]):

@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from rsb_console.notation.glyphs import DONE, FAILED, STATE_SIGN, STATE_WORD, sparkline
     from rsb_console.notation.link_fact import LinkFact
     from rsb_console.notation.route_fact import RouteFact
-    from rsb_console.notation.side_answer import side_of
+    from rsb_console.notation.side_answer import SideText, side_of
     from rsb_console.notation.topic_column import TopicColumn
     from rsb_console.preferences import Preferences
     from rsb_console.screens.dialog import ConfirmScreen, Dialog, FullScreen, SideBox
@@ -128,7 +128,7 @@ _NAMES = {
     "rsb_console.notation.glyphs": ("DONE", "FAILED", "STATE_SIGN", "STATE_WORD", "sparkline"),
     "rsb_console.notation.link_fact": ("LinkFact",),
     "rsb_console.notation.route_fact": ("RouteFact",),
-    "rsb_console.notation.side_answer": ("side_of",),
+    "rsb_console.notation.side_answer": ("SideText", "side_of"),
     "rsb_console.notation.topic_column": ("TopicColumn",),
     "rsb_console.preferences": ("Preferences",),
     "rsb_console.screens.dialog": ("ConfirmScreen", "Dialog", "FullScreen", "SideBox"),

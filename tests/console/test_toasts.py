@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.console.driving import on_main, until
+from tests.console.driving import NARROW, on_main, shown, until
 from tests.support.long import long
 from textual.widgets._toast import Toast
 
@@ -66,3 +66,14 @@ async def test_on_a_question(app: ConsoleApp, pilot: Pilot[None], question: str)
     (dialog,) = screen.query(".dialog")
     assert dialog.region.bottom <= app.size.height
     assert not region.overlaps(dialog.region)
+
+
+@on_main(NARROW)
+async def test_last_line_of_a_message_is_shown(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    """The rack measured messages as wide as without its scroll bar, and drew them narrower: the last line was lost."""
+    await pilot.press("c")
+    await shown(pilot, "Links")
+    for length in range(33, 41):
+        app.clear_notifications()
+        app.notify(f"{'y' * length} {'z' * 36} end{length}", timeout=60)
+        await shown(pilot, f"end{length}")

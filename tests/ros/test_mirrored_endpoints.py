@@ -37,12 +37,12 @@ def test_stock_node_finds_endpoints_on_the_mirrored_node(open_node: Callable[...
     node.mirrors.add(LIDAR)
     for end in (EndPlace("publisher", "/scan", "robot1"), EndPlace("subscription", "/speed", "robot1")):
         node.mirrors.place(end, LIDAR)
-    node.mirrors.place(EndPlace("service", "/front/reset"), LIDAR)
+    node.mirrors.place(EndPlace("service", "/front/reset", "robot1"), LIDAR)
     publisher = node.advertise(spec("/scan"), "robot1")
     subscription = node.subscribe(spec("/speed"), print, "robot1")
     service_hash = node.installed_service_hash(TRIGGER)
     assert service_hash is not None
-    server = node.serve("/front/reset", TRIGGER, service_hash, print)
+    server = node.serve("/front/reset", TRIGGER, service_hash, print, origin="robot1")
 
     def ends() -> list[list[tuple[str, list[str]]]]:
         if LIDAR not in names_seen_by(rclpy_node):
@@ -62,6 +62,25 @@ def test_stock_node_finds_endpoints_on_the_mirrored_node(open_node: Callable[...
     node.mirrors.remove(LIDAR)
     node.mirrors.remove(LIDAR)
     eventually(lambda: LIDAR not in names_seen_by(rclpy_node), what="its end")
+
+
+def test_service_of_another_link_leaves_a_place_alone(open_node: Callable[..., RosNode], rclpy_node: Node) -> None:
+    """Two robots have a service of one name: each stands on the node of its own robot, and goes alone."""
+    node = open_node()
+    service_hash = node.installed_service_hash(TRIGGER)
+    assert service_hash is not None
+    for robot in ("robot1", "robot2"):
+        node.mirrors.add(f"/{robot}")
+        node.mirrors.place(EndPlace("service", "/reset", robot), f"/{robot}")
+    node.mirrors.place(EndPlace("service", "/reset", "robot2"), "")
+    server = node.serve("/reset", TRIGGER, service_hash, print, origin="robot1")
+
+    def serves(name: str) -> list[tuple[str, list[str]]] | None:
+        found = f"/{name}" in names_seen_by(rclpy_node)
+        return rclpy_node.get_service_names_and_types_by_node(name, "/") if found else None
+
+    eventually(lambda: (serves("robot1"), serves("robot2")) == ([("/reset", [TRIGGER])], []), what="one place")
+    server.close()
 
 
 def test_bridges_know_mirrored_nodes_and_their_endpoints(open_node: Callable[..., RosNode]) -> None:

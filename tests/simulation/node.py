@@ -190,7 +190,13 @@ class Node:
         return self._domain.installed.get(type_name)
 
     def serve(
-        self, service: str, type_name: str, type_hash: str, sink: RequestSink, on_failure: OnFailure | None = None
+        self,
+        service: str,
+        type_name: str,
+        type_hash: str,
+        sink: RequestSink,
+        on_failure: OnFailure | None = None,
+        origin: Hashable = None,
     ) -> Server:
         self._check_type(type_name, type_hash)
         server = Server(self._domain.services, self._name, service, type_name, type_hash, sink, on_failure)

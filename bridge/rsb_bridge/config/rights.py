@@ -42,6 +42,7 @@ class DeniedText(Wording):
     DENIED = "{owner} denies {use} to {peer}"
     OTHER_PROTOCOL = "{owner} allows {use} to {peer} over {protocols} only"
     NOT_ALLOWED = "{owner} does not let {peer} {may} {use}"
+    NOT_LET = "{owner} does not let {peer} {act}"
 
 
 class DeniedRemedy(Wording):
@@ -52,6 +53,7 @@ class DeniedRemedy(Wording):
     ADD_LOOK = "add {{topics: PATTERN, may: look}} to allow {place}"
     NARROW_DENY = "narrow {entry} in deny {place}, which includes look"
     ADD_ALLOW = "add {entry} to allow {place}"
+    ADD = "add {entry} {where}"
     LIST = "list it under {list} {place}, with {direction}"
     LIST_OR_ALLOW = "list it under {list} {place}, with {direction}, or add {entry} to allow there"
 
@@ -126,9 +128,15 @@ class Rights:
             remedy(list=LISTS[use.kind], place=self.place, direction=listed_as, entry=entry),
         )
 
+    def lacks(self, act: str, entry: str) -> DeniedUse:
+        """Return that the peer may not do something that a feature offers, for lack of an entry of the session file."""
+        where = f"to {self.place.removeprefix('of ')}" if self.place.startswith("of ") else self.place
+        reason = DeniedText.NOT_LET(owner=self.owner, peer=self.peer, act=act)
+        return DeniedUse(reason, DeniedRemedy.ADD(entry=entry, where=where))
+
     def no_look(self) -> DeniedUse | None:
         """Return the reason why the peer may look at no topic at all, or None. Each topic is checked when it looks."""
-        reason = f"{self.owner} does not let {self.peer} look at any topic"
+        reason = DeniedText.NOT_LET(owner=self.owner, peer=self.peer, act="look at any topic")
         for grant in self.deny:
             # Only what every name matches: /*/* leaves /scan.
             is_any = grant.topics is not None and not grant.topics.removeprefix("/").strip("*")

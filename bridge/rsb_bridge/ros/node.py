@@ -280,11 +280,17 @@ class RosNode:
         return None if installed is None else service_hash_of(installed)
 
     def serve(
-        self, service: str, type_name: str, type_hash: str, sink: RequestSink, on_failure: OnFailure | None = None
+        self,
+        service: str,
+        type_name: str,
+        type_hash: str,
+        sink: RequestSink,
+        on_failure: OnFailure | None = None,
+        origin: Hashable = None,
     ) -> ServiceServer:
         with self._lock:
             participant = self._joined()
-            node = self.mirrors.node_of(EndPlace("service", service))
+            node = self.mirrors.node_of(EndPlace("service", service, origin))
             created = participant.create_server(service, type_name, type_hash, node)
             server = ServerDrain(created, sink, on_failure, self.retire)
             self._drain(server, participant)

@@ -154,7 +154,7 @@ class EndPlace(NamedTuple):
 
     Attributes:
         name: of a topic or a service.
-        origin: as of `RouteEnds.subscribe`, or None for a service.
+        origin: as of `RouteEnds.subscribe`.
     """
 
     kind: Literal["publisher", "subscription", "service"]
@@ -515,9 +515,15 @@ class RosInterface(RouteEnds, Protocol):
         """Return the hash of a service type that is installed here, as of `servers`, else None."""
 
     def serve(
-        self, service: str, type_name: str, type_hash: str, sink: RequestSink, on_failure: OnFailure | None = None
+        self,
+        service: str,
+        type_name: str,
+        type_hash: str,
+        sink: RequestSink,
+        on_failure: OnFailure | None = None,
+        origin: Hashable = None,
     ) -> ServiceServer:
-        """Offer a service, of a type installed here or known by name and hash only.
+        """Offer a service, of a type installed here or known by name and hash only, for `origin`, as of `subscribe`.
 
         A server that fails later closes itself and calls `on_failure`; it is never called for one that was closed.
 

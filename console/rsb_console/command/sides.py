@@ -32,14 +32,14 @@ def problems_of(sides: Iterable[SideAnswer], link: str = "") -> dict[str, str]:
     """
     problems = {side.link: side.problem for side in sides if side.problem}
     if link and link in problems:
-        raise EngineError(SideText.PROBLEM(side=link, problem=problems[link]))
+        raise EngineError(SideText.of(link, problems[link]))
     return problems
 
 
 def print_problems(role: str, problems: Mapping[str, str]) -> None:
     """Print what `problems_of` has returned, for people."""
     for link, problem in problems.items():
-        print_error(SideText.PROBLEM(side=side_of(role, link), problem=problem))
+        print_error(SideText.of(side_of(role, link), problem))
 
 
 def chosen_side(

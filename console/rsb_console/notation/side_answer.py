@@ -10,6 +10,14 @@ from rsb_bridge.model.wording import Wording
 
 class SideText(Wording):
     PROBLEM = "{side}: {problem}"
+    NO_RIGHT = "no right"
+    """In a list, in place of what may be asked for. `lacks` says the rest."""
+    LACKS = "{side} does not let this side {act}: add {entry} in the session file there"
+
+    @classmethod
+    def of(cls, side: str, problem: str) -> str:
+        """Return a side's problem with its name, unless it begins with that: ``the server does not let robot1 …``."""
+        return problem if problem.startswith(f"{side} ") else cls.PROBLEM(side=side, problem=problem)
 
 
 class SideAnswer(Protocol):

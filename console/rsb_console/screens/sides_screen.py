@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from typing import TYPE_CHECKING, ClassVar, Generic, TypeVar
 
 from textual import work
@@ -10,9 +11,10 @@ from textual.binding import Binding
 from textual.screen import ModalScreen
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.model.verdict import duration
 from rsb_bridge.model.wording import Wording
 from rsb_console.notation.side_answer import SideAnswer, SideText, side_of
-from rsb_console.widgets.lines import FixedLines
+from rsb_console.widgets.lines import FixedLines, wrapped
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -23,6 +25,8 @@ if TYPE_CHECKING:
 
 S = TypeVar("S", bound=SideAnswer)
 
+_WIDTH = 74  # cells, until the screen is laid out
+_AGED = 3.0  # s that an answer takes on a good line, and more. A round figure
 _MOST_LINKS = 8
 """Links of a server that are asked each time; with more, only that of the topic under the cursor. A round figure."""
 
@@ -30,6 +34,7 @@ _MOST_LINKS = 8
 class SidesText(Wording):
     ASKING = "asking both sides"
     NO_SESSION = "no session runs"
+    OLD = "as of {age} ago: no answer since"
 
 
 class SidesScreen(ModalScreen[None], Generic[S]):
@@ -50,6 +55,8 @@ class SidesScreen(ModalScreen[None], Generic[S]):
         self.console = console
         self.link = link
         self.problems = FixedLines(id="side-problems")
+        self._problems: Sequence[tuple[str, str]] = ()  # of the answer that is shown, each with its look
+        self._answered_at = 0.0
 
     def request(self) -> Command[tuple[S, ...]]:
         """Return what the engine is asked."""
@@ -60,39 +67,43 @@ class SidesScreen(ModalScreen[None], Generic[S]):
         raise NotImplementedError
 
     def on_mount(self) -> None:
-        self.problems.put([((SidesText.ASKING(), "dim"),)])
+        self._show_texts([(SidesText.ASKING(), "dim")])
         self.set_interval(self.EVERY, self.renew)
         self._fetching = self._fetch()
 
     def renew(self) -> None:
-        """Ask again, unless an answer is still due, perhaps over a thin line."""
+        """Ask again, unless an answer is still due, perhaps over a thin line: then say how old the shown one is."""
         if self._fetching.is_finished:
             self._fetching = self._fetch()
+        elif self._answered_at and (age := time.monotonic() - self._answered_at) >= self.EVERY + _AGED:
+            self._show_texts([(SidesText.OLD(age=duration(age)), "waiting"), *self._problems])
 
     @work(group="sides")
     async def _fetch(self) -> None:
         engine = self.console.engine
         if engine is None:
-            self.problems.put([((SidesText.NO_SESSION(), "down"),)])
+            self._show_texts([(SidesText.NO_SESSION(), "down")])
             return
         try:
             sides = await asyncio.wrap_future(engine.do(self.request()))
         except EngineError as error:
-            self.problems.put([((str(error), "down"),)])
+            self._show_texts([(str(error), "down")])
         else:
             self.show(sides)
 
     def show_problems(self, sides: Sequence[S], none: str, *, is_empty: bool) -> None:
         """Show the problems of the sides, or `none` if there are none and nothing is listed."""
         role = self.console.snapshot().role
-        problems = [
-            ((SideText.PROBLEM(side=side_of(role, side.link), problem=side.problem), "down"),)
-            for side in sides
-            if side.problem
-        ]
-        if not problems and is_empty:
-            problems = [((none, "dim"),)]
-        self.problems.put(problems)
+        texts = [(SideText.of(side_of(role, side.link), side.problem), "down") for side in sides if side.problem]
+        if not texts and is_empty:
+            texts = [(none, "dim")]
+        self._problems = texts
+        self._answered_at = time.monotonic()
+        self._show_texts(texts)
+
+    def _show_texts(self, texts: Sequence[tuple[str, str]]) -> None:
+        width = self.problems.size.width or _WIDTH
+        self.problems.put([line for text, look in texts for line in wrapped(text, width, look)])
 
     def warn(self, text: str) -> None:
         self.console.notify(text, severity="warning", markup=False, timeout=8)

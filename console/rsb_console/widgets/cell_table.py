@@ -23,13 +23,18 @@ class CellRow(Protocol):
 
 
 R = TypeVar("R", bound=CellRow)
-_GAP = 2
+_GAP, _LEAST = 2, 8  # cells
 
 
 class CellTable(SelectableList, Generic[R]):
-    """Rows in columns below headings. Without room for all, the widest column gives way, in the middle of its texts."""
+    """Rows in columns below headings. Without room for all, the widest column gives way, in the middle of its texts.
+
+    Attributes:
+        WHOLE: headings of columns of which a part means nothing: they give way once the others have `_LEAST` cells.
+    """
 
     HEADINGS: ClassVar[tuple[str, ...]]
+    WHOLE: ClassVar[frozenset[str]] = frozenset()
     sticky = 1
 
     def __init__(self, *, id: str | None = None) -> None:  # noqa: A002 -- Textual's name
@@ -60,10 +65,14 @@ class CellTable(SelectableList, Generic[R]):
     def _laid_out(self, mark: str, cells: Sequence[tuple[str, str]]) -> Line:
         widths = list(self._widths)
         for _ in range(len(mark) + sum(widths) + _GAP * (len(widths) - 1) - self.width):
-            widths[widths.index(max(widths))] -= 1
+            widest = max(range(len(widths)), key=lambda each: (self._gives_way(each, widths[each]), widths[each]))
+            widths[widest] -= 1
         *padded, (last, look) = [
             (f"{fitted}{' ' * (width + _GAP - cell_len(fitted))}", look)
             for (text, look), width in zip(cells, widths, strict=True)
             for fitted in (fit_middle(text, width),)
         ]
         return fit(((mark, "key"), *padded, (last.rstrip(), look)), self.width)
+
+    def _gives_way(self, column: int, width: int) -> bool:
+        return width > _LEAST and self.HEADINGS[column] not in self.WHOLE

@@ -230,11 +230,7 @@ class LinkBench(Extension):
         return drain
 
     def denial(self, rights: Rights, *, sends: bool) -> DeniedUse | None:
-        if LIMITS.of(rights) is not None:
-            return None
-        where = f"to {rights.place.removeprefix('of ')}" if rights.place.startswith("of ") else rights.place
-        reason = f"{rights.owner} does not let {rights.peer} measure this link"
-        return DeniedUse(reason, f"add bench: {{}} {where}")
+        return None if LIMITS.of(rights) is not None else rights.lacks("measure this link", "bench: {}")
 
     def refusal(self, name: str) -> str:
         if self._now() < self._stopped_until:

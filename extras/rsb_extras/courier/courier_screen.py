@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from rsb_extras.courier.courier_records import ListedRecording
     from rsb_extras.courier.courier_requests import FetchReport, RecordingGroup
 
-HELP = "enter get   x give up   esc close"
+HELP = "⏎ get   x give up   esc close"
 _WIDTH = 76  # cells, until the screen is laid out
 _TOPICS = 40  # that are named. A round figure
 _FETCHES_EVERY = 1.0  # s
@@ -67,6 +67,7 @@ class RecordingRow(NamedTuple):
 
 class RecordingsTable(CellTable[RecordingRow]):
     HEADINGS = HEADINGS
+    WHOLE = frozenset({"BEGIN", "TOPICS"})
 
     def cells(self, row: RecordingRow) -> tuple[tuple[str, str], ...]:
         look = "strong" if row.fetch is None else FETCH_LOOKS[row.fetch.state]

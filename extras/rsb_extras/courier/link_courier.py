@@ -85,12 +85,14 @@ class CourierCode(StrEnum):
     """The oldest recording that was fetched is gone: `recordings.fetched` is full."""
 
 
+_GETTING = "get recordings", MAY_FETCH.entry("true")
+
+
 class CourierProblem(Wording):
     """The reason why a recording does not come, or not now."""
 
     NOT_LINKED = "{link} is not linked: {reason}"
     NOT_THERE = "the installation of {link} has no courier: install all of rsb-console there"
-    NOT_ALLOWED = "{owner} does not let {peer} get recordings: add may: {{recordings: true}} {where}"
     NO_TOPIC = "{owner} does not let {peer} read {topic}"
     NO_SENDING = "{owner} takes no recording from {peer}: the side that gets it proposes the route"
     RIGHTS = "the rights of this side have changed over there meanwhile: get it again"
@@ -196,11 +198,7 @@ class LinkCourier(AskingExtension):
         if sends:
             text = CourierProblem.NO_SENDING(owner=rights.owner, peer=rights.peer)
             return DeniedUse(text, "propose it from the side that receives")
-        return None if MAY_FETCH.of(rights) else DeniedUse(*self._no_right(rights).split(": ", 1))
-
-    def _no_right(self, rights: Rights) -> str:
-        where = f"to {rights.place.removeprefix('of ')}" if rights.place.startswith("of ") else rights.place
-        return CourierProblem.NOT_ALLOWED(owner=rights.owner, peer=rights.peer, where=where)
+        return None if MAY_FETCH.of(rights) else rights.lacks(*_GETTING)
 
     def refusal(self, name: str) -> str:
         own = [route for route in self._internal.proposed(here=False) if route.local_topic != name]
@@ -212,7 +210,7 @@ class LinkCourier(AskingExtension):
     async def _page(self, ask: AskRecordings) -> RecordingsAnswer:
         rights = self._link.end.rights
         if not MAY_FETCH.of(rights):
-            return RecordingsAnswer(ask.request, problem=sanitize_text(self._no_right(rights)))
+            return RecordingsAnswer(ask.request, problem=sanitize_text(str(rights.lacks(*_GETTING))))
         left = [each for each in await self._kept.all(rights) if each.id > (ask.after or "")]
         page: list[ListedRecording] = []
         size = 0
@@ -282,7 +280,7 @@ class LinkCourier(AskingExtension):
         """Return the wanted topics that the peer may read; raises `FetchError` if it must not ask for the others."""
         rights = self._link.end.rights
         if not MAY_FETCH.of(rights):
-            raise FetchError(self._no_right(rights))
+            raise FetchError(str(rights.lacks(*_GETTING)))
         allowed = tuple(topic for topic in order.wanted.topics if may_read(rights, topic))
         denied = next((topic for topic in order.wanted.topics if topic not in allowed), None)
         if denied is not None and not order.wanted.heads:

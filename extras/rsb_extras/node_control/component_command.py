@@ -9,6 +9,7 @@ from msgspec.structs import asdict
 from rsb_bridge.feature_api import Wording
 from rsb_console.feature_console import (
     FAILURE,
+    SideText,
     UsageError,
     agreed,
     attached,
@@ -65,7 +66,7 @@ def list_all(arguments: Namespace) -> int:
 
 
 def _rows(side: str, container: Container) -> Iterator[tuple[str, ...]]:
-    right = "" if container.allowed else LifecycleText.MAY_NOT()
+    right = "" if container.allowed else SideText.NO_RIGHT()
     none = NOTHING if container.answers else LifecycleText.NO_ANSWER()
     for at, node in enumerate(container.nodes or (none,)):
         yield (container.name, side, node, right) if at == 0 else ("", "", node, "")

@@ -6,7 +6,7 @@ from collections import Counter
 from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.feature_api import Wording, plural
-from rsb_console.feature_console import side_of
+from rsb_console.feature_console import SideText, side_of
 from rsb_extras.node_control.change_records import (
     LIFECYCLE_ACTIONS,
     ChangeAction,
@@ -31,7 +31,6 @@ class LifecycleText(Wording):
     NONE = "neither side has managed nodes or containers, or lists groups in its session file"
     ASK = "{action} {target} of {side}?"
     ENDED = "{target} of {side}: {text}"
-    MAY_NOT = "no right"
     NO_ANSWER = "no answer"
     COMPONENT = "component"
     COMPONENTS = "{count} {noun}"
@@ -69,7 +68,7 @@ class LifecycleRow(NamedTuple):
     @property
     def cells(self) -> tuple[str, ...]:
         possible = " ".join(self.actions) or NOTHING
-        return self.name, self.side, self.state, possible if self.allowed else LifecycleText.MAY_NOT()
+        return self.name, self.side, self.state, possible if self.allowed else SideText.NO_RIGHT()
 
 
 def rows(role: str, sides: Sequence[ManagedSide]) -> Iterator[LifecycleRow]:

@@ -18,9 +18,11 @@ from rsb_console.feature_console import (
     Dialog,
     ScrolledLines,
     SidesScreen,
+    SideText,
     asked_link,
     wrapped,
 )
+from rsb_extras.node_control import MAY_CHANGE
 from rsb_extras.node_control.change_records import GOALS, ChangeText, Component
 from rsb_extras.node_control.change_requests import ChangeNodes, ListManaged
 from rsb_extras.node_control.component_form import ComponentForm
@@ -55,7 +57,6 @@ _OF_CONTAINER: dict[str, ComponentAction] = {"l": "load", "L": "unload"}
 
 class LifecycleScreenText(Wording):
     READ_ONLY = "this console is read-only"
-    NO_RIGHT = "no right to change {name}: {side} gives it by may: {{nodes: [{name}]}} in its session file"
     NOT_OFFERED = "{name} is {state}: it offers {offers} now"
     RISES = "{nodes} will be {goal}. What is driven may move: nobody may be in its way."
     FALLS = "{nodes} will be {goal}. What is driven has to be safe without."
@@ -152,7 +153,8 @@ class LifecycleScreen(SidesScreen["ManagedSide"]):
             return LifecycleScreenText.READ_ONLY()
         if last is not None and not last[1].is_over:
             return LifecycleScreenText.WAIT(name=row.name, action=last[0])
-        return "" if allowed else LifecycleScreenText.NO_RIGHT(name=name, side=row.side)
+        entry = MAY_CHANGE.entry(f"[{name}]")
+        return "" if allowed else SideText.LACKS(side=row.side, act=f"change {name}", entry=entry)
 
     def action_load(self) -> None:
         self._change_container("load", LifecycleScreenText.NO_CONTAINER)
@@ -239,7 +241,7 @@ def _lines(row: LifecycleRow, action: ChangeAction, outcome: ChangeOutcome, widt
 def _keys_of(row: LifecycleRow) -> str:
     """Return the keys that do something to a row now."""
     if not (row.allowed or row.may_load):
-        return LifecycleText.MAY_NOT()
+        return SideText.NO_RIGHT()
     possible: set[str] = {*row.actions, "up", "down"} if row.actions and row.allowed else set()
     if row.may_load:
         possible |= {*row.of_container}

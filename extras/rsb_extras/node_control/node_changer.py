@@ -74,9 +74,7 @@ class ChangeProblem(Wording):
     )
     NO_LOAD = "a component has a package and a plugin, and parameters with values of their types, {size} bytes at most"
     NO_CONTAINER = "{name} is no container: see rsb-console component list"
-    NOT_READ = "{owner} does not let {peer} read parameters of {node}: add may: {{nodes: [{name}]}} {where}"
     NO_GROUP = "the session of {owner} lists no group {name}: see rsb-console lifecycle"
-    NOT_ALLOWED = "{owner} does not let {peer} change {node}: add may: {{nodes: [{name}]}} {where}"
     BUSY = "{node} is being changed already: wait until that is over"
     FULL = "{count} changes are under way there: wait until one is over"
     TOO_OFTEN = "nodes were changed {most} times within {seconds:g} s: wait"
@@ -190,7 +188,7 @@ class NodeChanger:
             nodes = (ParameterNode(each, self._may_set(asker, each)) for each in names)
             return ParametersAnswer(ask.request, nodes=tuple(each for each in nodes if shows or each.allowed))
         if not self._may_set(asker, ask.node):
-            problem = self._lacks_right(ask.node, (ask.node,), asker, ChangeProblem.NOT_READ)
+            problem = self._lacks_right(ask.node, (ask.node,), asker, "read parameters of")
             return ParametersAnswer(ask.request, problem=sanitize_text(problem))
         return await page_of(self.services, ask)
 
@@ -274,23 +272,14 @@ class NodeChanger:
         )
         return ChangeProblem.ARMED(what=what) if what else ""
 
-    def _lacks_right(
-        self,
-        target: str,
-        nodes: Sequence[str],
-        asker: ChangeAsker,
-        problem: ChangeProblem = ChangeProblem.NOT_ALLOWED,
-    ) -> str:
+    def _lacks_right(self, target: str, nodes: Sequence[str], asker: ChangeAsker, act: str = "change") -> str:
         if asker.link is None:
             return ""
         # A group that is not listed is refused as one that may not be asked for: a peer learns nothing by asking.
         lacking = next((each for each in nodes if not self._may(asker, each)), "" if nodes else target)
         if not lacking:
             return ""
-        rights = asker.link.end.rights
-        where = f"to {rights.place.removeprefix('of ')}" if rights.place.startswith("of ") else rights.place
-        names = {"owner": rights.owner, "peer": rights.peer, "node": lacking, "name": target, "where": where}
-        return problem(**names)
+        return str(asker.link.end.rights.lacks(f"{act} {lacking}", MAY_CHANGE.entry(f"[{target}]")))
 
     async def _work(
         self,

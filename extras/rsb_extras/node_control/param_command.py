@@ -11,6 +11,7 @@ from rsb_bridge.feature_api import EngineError, Wording, dump_yaml, one_line, re
 from rsb_console.feature_console import (
     FAILURE,
     OK,
+    SideText,
     UsageError,
     agreed,
     attached,
@@ -95,7 +96,7 @@ def _list_nodes(arguments: Namespace, role: str, sides: Sequence[ParameterSide])
     shown = [side for side in sides if not (arguments.here and side.link)]
     problems = problems_of(shown, arguments.link)
     rows = [
-        (each.name, side_of(role, side.link), "" if each.allowed else LifecycleText.MAY_NOT())
+        (each.name, side_of(role, side.link), "" if each.allowed else SideText.NO_RIGHT())
         for side in shown
         for each in side.nodes
     ]

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import asyncio
 import textwrap
+import time
 from functools import partial
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
-from rich.cells import cell_len
 from textual import work
 from textual.binding import Binding
 
 from rsb_bridge.feature_api import Effect, EngineError, Wording
 from rsb_console.feature_console import (
     DIALOG,
+    CellTable,
     ConfirmScreen,
     Dialog,
     Field,
@@ -22,13 +23,12 @@ from rsb_console.feature_console import (
     FormScreen,
     Prompt,
     ScrolledLines,
-    SelectableList,
     Spec,
-    fit,
     parameter_value,
     shown_value,
     side_of,
 )
+from rsb_console.notation import formats
 from rsb_extras.node_control.change_records import ChangeText
 from rsb_extras.node_control.change_requests import ChangeNodes
 from rsb_extras.node_control.lifecycle_rows import LifecycleText
@@ -36,16 +36,14 @@ from rsb_extras.node_control.parameter_requests import ReadParameters
 from rsb_extras.node_control.parameter_rules import ParameterChange, ParameterText, about, change_of, value_text
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Mapping
 
     from textual.app import ComposeResult
 
     from rsb_bridge.feature_api import EngineApi
-    from rsb_console.feature_console import Console, Line
+    from rsb_console.feature_console import Console
     from rsb_extras.node_control.parameter_records import NodeParameter
 
-_HEADINGS = "NAME", "VALUE", "TYPE", ""
-_WIDEST_NAME, _LEAST_VALUE = 40, 10  # cells
 _WIDTH = 76  # cells, until the screen is laid out
 _EDITED = 4096  # characters of a value in the form, which a list has whole
 HELP = "⏎ edit   / filter   c changed only   r read again   esc close"
@@ -55,7 +53,7 @@ class ParametersScreenText(Wording):
     READING = "asking {node}"
     NO_SESSION = "no session runs"
     READ_ONLY = "this console is read-only"
-    COUNTS = "{count} parameters, {read_only} read-only, {changed} changed since this screen was opened"
+    COUNTS = "{count} parameters, {read_only} read-only, {changed} changed since this screen was opened; read at {time}"
     NO_MATCH = "no match"
     MAY_NOT = "{name}: {reason}"
     TOO_LARGE = "too large for a form: rsb-console param set, or load a file"
@@ -64,43 +62,25 @@ class ParametersScreenText(Wording):
     HELP = "{type}, in YAML. {about}"
 
 
-class ParameterTable(SelectableList):
-    sticky = 1
+class ParameterRow(NamedTuple):
+    parameter: NodeParameter
+    is_changed: bool
 
-    def __init__(self) -> None:
-        super().__init__(id="parameters")
-        self._rows: dict[str, tuple[NodeParameter, bool]] = {}
-        self._widths = [*map(len, _HEADINGS)]
-
-    def show(self, shown: Mapping[str, tuple[NodeParameter, bool]]) -> None:
-        """Show parameters by their names, each with whether it has changed."""
-        self._rows = dict(shown)
-        columns = zip(_HEADINGS, *(_texts(*row) for row in self._rows.values()), strict=True)
-        self._widths = [max(map(cell_len, column)) for column in columns]
-        self._widths[0] = min(_WIDEST_NAME, self._widths[0])
-        self.show_keys(list(shown))
-
-    def line(self, index: int) -> Line:
-        if index < self.sticky:
-            return fit(((" ", ""), *self._cells(_HEADINGS, ("head",) * len(_HEADINGS))), self.width)
-        parameter, is_changed = self._rows[self.keys[index - self.sticky]]
-        looks = "dim" if parameter.read_only else "", "waiting" if is_changed else "", "dim", "dim"
-        mark = ("▌" if self.is_cursor(index) else " ", "key")
-        return fit((mark, *self._cells(_texts(parameter, is_changed), looks)), self.width)
-
-    def _cells(self, texts: Sequence[str], looks: Sequence[str]) -> Iterator[tuple[str, str]]:
-        name, value, kind, mark = self._widths
-        rest = self.width - name - kind - mark - 2 * len(_HEADINGS)
-        for text, look, width in zip(
-            texts, looks, (name, max(_LEAST_VALUE, min(value, rest)), kind, mark), strict=True
-        ):
-            cut = text if len(text) <= width else f"{text[: width - 1]}…"
-            yield f"{cut:<{width}}  ", look
+    @property
+    def key(self) -> str:
+        return self.parameter.name
 
 
-def _texts(parameter: NodeParameter, is_changed: bool) -> tuple[str, ...]:
-    mark = "read-only" if parameter.read_only else "changed" if is_changed else ""
-    return parameter.name, value_text(parameter), parameter.value.type, mark
+class ParameterTable(CellTable[ParameterRow]):
+    HEADINGS = "NAME", "VALUE", "TYPE", ""
+    WHOLE = frozenset({"TYPE", ""})
+
+    def cells(self, row: ParameterRow) -> tuple[tuple[str, str], ...]:
+        parameter, is_changed = row
+        mark = "read-only" if parameter.read_only else "changed" if is_changed else ""
+        name = parameter.name, "dim" if parameter.read_only else ""
+        value = value_text(parameter), "waiting" if is_changed else ""
+        return name, value, (parameter.value.type, "dim"), (mark, "dim")
 
 
 class ParameterForm(FormScreen[ParameterChange]):
@@ -151,9 +131,9 @@ class ParametersScreen(FilteredScreen[None]):
         self._side = side_of(console.snapshot().role, link)
         self._found: dict[str, NodeParameter] = {}
         self._first: dict[str, NodeParameter] = {}  # as they were when the screen was opened
-        self._problem = ""
+        self._problem = self._read_at = ""
         self._changed_only = False
-        self.summary, self.table = FixedLines(id="parameters-summary"), ParameterTable()
+        self.summary, self.table = FixedLines(id="parameters-summary"), ParameterTable(id="parameters")
         self.about = ScrolledLines(id="parameter-about")
 
     def compose(self) -> ComposeResult:
@@ -180,19 +160,20 @@ class ParametersScreen(FilteredScreen[None]):
                 self._problem = str(error)
             else:
                 self._found = {each.name: each for each in found}
+                self._read_at = formats.time_of_day(time.time())
                 self._first = self._first or self._found
         self.show()
 
     def show(self) -> None:
         changed = {name for name, each in self._found.items() if self._first.get(name) != each}
-        shown = {
-            name: (each, name in changed)
+        shown = [
+            ParameterRow(each, name in changed)
             for name, each in self._found.items()
             if (name in changed or not self._changed_only) and self._matches(each)
-        }
+        ]
         self.table.show(shown)
         read_only = sum(each.read_only for each in self._found.values())
-        counts = {"count": len(self._found), "read_only": read_only, "changed": len(changed)}
+        counts = {"count": len(self._found), "read_only": read_only, "changed": len(changed), "time": self._read_at}
         lines = [self._problem] if self._problem else [ParametersScreenText.COUNTS(**counts)]
         if self._found and not shown:
             lines.append(ParametersScreenText.NO_MATCH())

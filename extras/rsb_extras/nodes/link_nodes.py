@@ -79,21 +79,35 @@ class LinkNodes(Extension):
         self._looked_until = float("-inf")
         self._at = (0, 0)  # book and number of the peer's that this side has
         self._number = self._one_number = 0  # of the last questions
+        self._taken = 0  # number of the question whose answer came last
+        self._heard_at = 0.0
         self._asking = False
         self._endings = self._watch.endings
 
     # --- what somebody here looks at
 
     async def look(self) -> None:
-        """Keep the peer's nodes up to date for some seconds; wait for them if there are none yet.
+        """Keep the peer's nodes up to date for some seconds; wait for them if nobody has looked just before.
 
         Raises:
-            LinkError: the peer cannot be asked, or does not answer.
+            LinkError: the peer cannot be asked, or has never answered.
         """
         self._check()
+        was_looked_at = self._link.context.now() < self._looked_until
         self._looked_until = self._link.context.now() + LOOKED_FOR
-        if not self._at[0]:
+        if was_looked_at and self._at[0]:
+            return
+        try:
             await self._ask()
+        except LinkError:
+            if not self._at[0]:  # else `age` says how old that is which is known
+                raise
+        self._looked_until = self._link.context.now() + LOOKED_FOR
+
+    @property
+    def age(self) -> float:
+        """Seconds since the peer's last word on its nodes."""
+        return self._link.context.now() - self._heard_at
 
     def keep_looking(self) -> bool:
         """Look for some seconds more, without waiting; return whether the peer shows its nodes, as far as is known."""
@@ -141,8 +155,10 @@ class LinkNodes(Extension):
 
     def _news(self, message: NodesNews) -> Generator[int, None, int]:
         yield from ()
-        if not self._lists.awaited(message.request):
+        # Over a thin line, an answer may come when nobody waits for it any more: it counts, as there is no newer one.
+        if not self._taken < message.request <= self._number:
             return 0
+        self._taken, self._heard_at = message.request, self._link.context.now()
         changes = _unpacked(message.packed, _changes)
         self._at = changes.book, changes.number
         self.book.why_not = changes.why_not
@@ -234,6 +250,7 @@ class LinkNodes(Extension):
 
     def disconnected(self) -> None:
         self._peer_has = False
+        self._taken = self._number
         self._lists.disconnected()
         self._ones.disconnected()
         self._at = (0, 0)

@@ -188,7 +188,17 @@ class NodeTold(ControlMessageBase, frozen=True):
     packed: Annotated[bytes, Meta(max_length=PACKED_LIMIT)]
 
 
-class Nodes(Command[NodeChanges], frozen=True, tag="nodes"):
+class NodesSeen(NodeChanges, frozen=True, array_like=True):
+    """An engine's answer to a console.
+
+    Attributes:
+        age: s since the side of these nodes has told of them.
+    """
+
+    age: Second = 0
+
+
+class Nodes(Command[NodesSeen], frozen=True, tag="nodes"):
     """Return what has changed among the nodes of one side since an earlier answer."""
 
     right = Right.LOOK

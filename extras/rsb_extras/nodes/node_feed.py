@@ -28,7 +28,8 @@ class NodeFeed:
 
     Attributes:
         book: the nodes so far.
-        now: when they were such (s).
+        now: the present time (s) of the engine.
+        age: s since their side has told of them.
         problem: the reason why that is not renewed, for an operator, or empty.
     """
 
@@ -36,6 +37,7 @@ class NodeFeed:
         self.side = side
         self.book = NodeBook()
         self.now = 0
+        self.age = 0
         self.problem = ""
         self._console = console
         self._at = (0, 0)
@@ -51,6 +53,7 @@ class NodeFeed:
             self.problem = str(error)
             return
         self._at, self.now, self.problem = (changes.book, changes.number), changes.now, changes.why_not
+        self.age = changes.age
         self.book.take(changes, changes.now)
 
     @property
@@ -69,4 +72,6 @@ class NodeFeed:
             return ((self.problem, "down"),)
         if not self.is_known:
             return ((NodeFeedText.ASKING(side=self.side_name), "dim"),)
-        return ((node_rows.counts(self.book.nodes.values(), self.now), ""),)
+        counts = node_rows.counts(self.book.nodes.values(), self.now), ""
+        as_of = node_rows.as_of(self.age)
+        return (counts, (f", {as_of}", "waiting")) if as_of else (counts,)

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from rsb_extras.nodes.node_data import LogLine, NameAndType, NodeDetails, NodeState, ProcessState
 
 UNKNOWN_MACHINE = "a machine that is not known"
+_AGED = 10.0
+"""s without a word from a side that is asked each second, until that is said. A round figure."""
 _FRESH = 300.0
 """s for which a line of a node counts. A round figure."""
 _LEVELS = {30: "WARN", 40: "ERROR", 50: "FATAL"}
@@ -112,6 +114,16 @@ def counts(nodes: Iterable[NodeState], now: float) -> str:
     return ", ".join(parts)
 
 
+def as_of(age: float) -> str:
+    """Say how old nodes are, or an empty string while their side tells of them all the time."""
+    return f"as of {duration(age)} ago: no answer since" if age >= _AGED else ""
+
+
+def read(age: float) -> str:
+    """Say how old a page is that is not renewed, or an empty string at first."""
+    return f"{duration(age)} ago: close this page and open it again" if age >= _AGED else ""
+
+
 def short_name(node: NodeState) -> str:
     return node.name.rpartition("/")[2]
 
@@ -155,14 +167,16 @@ def node_line(node: NodeState, name: str, now: float, processes: Mapping[int, Pr
         shared: number of nodes in its process.
     """
     state = LOOK[health(node, now)]
-    about = "; ".join(filter(None, (status(node, now), figures(node, processes, shared))))
-    last = "" if node.line is None else f"  {line_text(node.line, now)}"
-    return (
-        (f"{STATE_SIGN[state]} ", state.value),
-        (f"{name}  ", ""),
-        (about, "dim"),
+    last = "" if node.line is None else line_text(node.line, now)
+    texts = [
+        (status(node, now), "dim"),
+        (figures(node, processes, shared), "dim"),
         (last, state.value if state in _LOUD else "dim"),
-    )
+    ]
+    if state in _LOUD:  # a narrow screen cuts the end
+        texts[1:] = reversed(texts[1:])
+    about = ((f"  {text}", look) for text, look in texts if text)
+    return ((f"{STATE_SIGN[state]} ", state.value), (name, ""), *about)
 
 
 def detail_lines(details: NodeDetails, shared: int = 1) -> list[tuple[str, str]]:

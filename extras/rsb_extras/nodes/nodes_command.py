@@ -36,8 +36,9 @@ def nodes(arguments: Namespace) -> int:
             book.take(found, now)
     shown = [node for node in book.nodes.values() if arguments.all or not node.is_hidden]
     lines = list(_lines(book, shown, now, unfolded=arguments.all))
-    title = f"{link or 'this side'}: {node_rows.counts(shown, now)}"
-    return done(arguments, title, *lines, nodes=[_plain(node, book, now) for node in shown])
+    title = ", ".join(filter(None, (node_rows.counts(shown, now), node_rows.as_of(found.age))))
+    nodes = [_plain(node, book, now) for node in shown]
+    return done(arguments, f"{link or 'this side'}: {title}", *lines, nodes=nodes, age=found.age)
 
 
 def _link(engine: EngineApi, name: str) -> str:

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from msgspec.structs import asdict
+
 from rsb_bridge.feature_api import EnginePart, link_named
 from rsb_extras.nodes import HEAR_ROSOUT, SHOW_NODES
 from rsb_extras.nodes.link_nodes import LinkNodes
-from rsb_extras.nodes.node_data import Nodes, OneNode
+from rsb_extras.nodes.node_data import Nodes, NodesSeen, OneNode
 from rsb_extras.nodes.node_watch import NodeWatch
 
 if TYPE_CHECKING:
     from rsb_bridge.feature_api import Bridge, Snapshot
-    from rsb_extras.nodes.node_data import NodeChanges, NodeDetails
+    from rsb_extras.nodes.node_data import NodeDetails
 
 
 class NodesPart(EnginePart):
@@ -29,15 +31,16 @@ class NodesPart(EnginePart):
     async def close(self) -> None:
         self._watch.close()
 
-    async def _nodes(self, command: Nodes) -> NodeChanges:
+    async def _nodes(self, command: Nodes) -> NodesSeen:
         now = round(self._bridge.context.now())
         if command.link is None:
             self._watch.look()
             await self._watch.ready()
-            return self._watch.book.changes(command.book, command.since, now)
+            return NodesSeen(**asdict(self._watch.book.changes(command.book, command.since, now)))
         there = self._there(command.link)
         await there.look()
-        return there.book.changes(command.book, command.since, now)
+        found = there.book.changes(command.book, command.since, now)
+        return NodesSeen(**asdict(found), age=round(there.age))
 
     async def _one(self, command: OneNode) -> NodeDetails:
         if command.link is None:

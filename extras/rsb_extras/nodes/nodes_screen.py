@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import re
 import textwrap
+import time
 from typing import TYPE_CHECKING, ClassVar
 
 from textual import work
@@ -212,7 +213,7 @@ class NodesScreen(FilteredScreen[str | None]):
         if details is None:
             return
         shared = 1 if details.state is None else node_rows.sharing(self.feed.book.nodes.values())(details.state)
-        if await self.console.ask(NodeScreen(name, node_rows.detail_lines(details, shared))):
+        if await self.console.ask(NodeScreen(name, details, shared)):
             self._close_for(name, details)
 
     async def _details(self, node: str = "", topic: str = "") -> NodeDetails | None:
@@ -284,10 +285,11 @@ class NodeScreen(ModalScreen[bool]):
     AUTO_FOCUS = "#node"
     DEFAULT_CSS = "#node { height: 1fr; background: $surface; }"
 
-    def __init__(self, name: str, lines: list[tuple[str, str]]) -> None:
+    def __init__(self, name: str, details: NodeDetails, shared: int) -> None:
         super().__init__()
         self._node = name
-        self._texts = lines
+        self._details, self._shared = details, shared
+        self._read_at = time.monotonic()
         self.lines = ScrolledLines(id="node")
 
     def compose(self) -> ComposeResult:
@@ -295,15 +297,20 @@ class NodeScreen(ModalScreen[bool]):
 
     def on_mount(self) -> None:
         self.call_after_refresh(self.show)
+        self.set_interval(_RENEWED_EVERY, self.show)
 
     def on_resize(self) -> None:
         self.show()
 
     def show(self) -> None:
+        """Show what was read when the page was opened, with how long ago that is: all ages in it are of that time."""
+        texts = node_rows.detail_lines(self._details, self._shared)
+        if as_of := node_rows.read(time.monotonic() - self._read_at):
+            texts.insert(0, ("read", as_of))
         width = max(20, (self.lines.size.width or 80) - _LABEL)
         self.lines.show(
             ((f"{'' if number else label:<{_LABEL}}", "dim"), (part, ""))
-            for label, text in self._texts
+            for label, text in texts
             for number, part in enumerate(textwrap.wrap(text, width) or [""])
         )
 

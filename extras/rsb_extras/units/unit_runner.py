@@ -52,7 +52,6 @@ class UnitProblem(Wording):
 
     NO_UNIT = "{owner} lists no unit {name}: see rsb-console units"
     NO_ACTION = "unit {name} has no {action}: it has {actions}"
-    NOT_ALLOWED = "{owner} does not let {peer} {action} unit {name}: add may: {{units: [{name}]}} {where}"
     BUSY = "a unit is being changed there already: wait until that is over"
     TOO_OFTEN = "units were changed {most} times within {seconds:g} s: wait"
     ARMED = "{what} is armed, and {nodes}: disarm it first, or ask an operator of that side"
@@ -190,10 +189,7 @@ class UnitRunner:
         unit, now = self._units.get(name), self._context.now()
         if not asker.may(name):
             assert asker.link is not None
-            rights = asker.link.end.rights
-            where = f"to {rights.place.removeprefix('of ')}" if rights.place.startswith("of ") else rights.place
-            names = {"owner": rights.owner, "peer": rights.peer, "name": name, "where": where}
-            return UnitProblem.NOT_ALLOWED(action=action, **names)
+            return str(asker.link.end.rights.lacks(f"{action} unit {name}", MAY_ASK.entry(f"[{name}]")))
         if unit is None:
             return UnitProblem.NO_UNIT(owner=f"the session of {self._context.session.name}", name=name)
         if not getattr(unit, action):

@@ -10,6 +10,7 @@ from rsb_bridge.feature_api import Wording
 from rsb_console.feature_console import (
     FAILURE,
     OK,
+    SideText,
     UsageError,
     agreed,
     attached,
@@ -61,7 +62,7 @@ def actions_text(unit: UnitRecord) -> str:
     """Return the actions that may be asked for, in words."""
     if not unit.actions:
         return _NOTHING
-    return " ".join(unit.actions) if unit.allowed else "may not be asked for"
+    return " ".join(unit.actions) if unit.allowed else SideText.NO_RIGHT()
 
 
 def units(arguments: Namespace) -> int:

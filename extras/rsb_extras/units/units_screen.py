@@ -19,10 +19,12 @@ from rsb_console.feature_console import (
     Dialog,
     ScrolledLines,
     SidesScreen,
+    SideText,
     asked_link,
     side_of,
     wrapped,
 )
+from rsb_extras.units import MAY_ASK
 from rsb_extras.units.unit_records import UnitAction, UnitOutcome, UnitText
 from rsb_extras.units.unit_requests import ControlUnit, ListUnits
 from rsb_extras.units.units_command import HEADINGS, UnitsCommandText, actions_text, age_text, state_text
@@ -133,6 +135,9 @@ class UnitsScreen(SidesScreen["UnitGroup"]):
         elif action not in row.unit.actions:
             actions = ", ".join(row.unit.actions) or "none"
             self.warn(UnitsScreenText.NO_ACTION(name=row.unit.name, action=action, actions=actions))
+        elif not row.unit.allowed:
+            act, entry = f"{action} unit {row.unit.name}", MAY_ASK.entry(f"[{row.unit.name}]")
+            self.warn(SideText.LACKS(side=row.side, act=act, entry=entry))
         elif (last := self.results.get(row.key)) is not None and last[1] is None:
             self.warn(UnitsScreenText.WAIT(name=row.unit.name, action=last[0]))
         else:

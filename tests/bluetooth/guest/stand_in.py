@@ -150,7 +150,13 @@ class StandIn(NoRos):
         return SERVICE_HASH if type_name == SERVICE_TYPE else None
 
     def serve(
-        self, service: str, type_name: str, type_hash: str, sink: RequestSink, on_failure: OnFailure | None = None
+        self,
+        service: str,
+        type_name: str,
+        type_hash: str,
+        sink: RequestSink,
+        on_failure: OnFailure | None = None,
+        origin: Hashable = None,
     ) -> _Server:
         server = self._servers[service] = _Server(sink, self._servers, service)
         return server

@@ -55,7 +55,7 @@ class Caller(CallsHalf):
         """Return those of all lanes but topics that several nodes publish."""
         route = self.route
         return [
-            EndPlace("publisher", name, route.peer.name) if each.is_topic else EndPlace("service", name)
+            EndPlace("publisher" if each.is_topic else "service", name, route.peer.name)
             for each in self.flow.members
             if not each.absolute and (name := each.name_on(route.local_topic))
         ]

@@ -54,7 +54,7 @@ class OfferedService(OpenLane):
             def put(batch: Sequence[Request]) -> None:
                 self._put(marker.marked(batch))
 
-        self.server = context.ros.serve(self._name, *self.version, put, self._failed)
+        self.server = context.ros.serve(self._name, *self.version, put, self._failed, self._route.peer.name)
         held.callback(self.server.close)
 
     def announce(self) -> None:

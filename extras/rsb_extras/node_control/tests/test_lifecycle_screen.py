@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from tests.console.driving import NARROW, WIDE, engine_of, gone, notified, on_main, shown, text, until
 
+from rsb_console.notation.side_answer import SideText
 from rsb_extras.node_control.change_records import (
     ChangeOutcome,
     ChangeStep,
@@ -93,7 +94,9 @@ async def test_container_without_states_is_not_brought_up(app: ConsoleApp, pilot
 @on_main(NARROW)
 async def test_without_a_right_nothing_is_asked(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await opened(pilot, "j", "j", "c")
-    await notified(pilot, LifecycleScreenText.NO_RIGHT, name="/controller", side="the server")
+    await notified(
+        pilot, SideText.LACKS, side="the server", act="change /controller", entry="may: {nodes: [/controller]}"
+    )
     assert told(app) == []
 
 
@@ -208,4 +211,4 @@ async def test_a_component_is_unloaded_after_a_question(app: ConsoleApp, pilot: 
     assert (target, action, component.name) == ("/nav2_container", "unload", "/nav/smoother_server")
     await to(pilot, app, "/sensors/filter")
     await pilot.press("L")
-    await notified(pilot, LifecycleScreenText.NO_RIGHT, name="/sensors", side="the server")
+    await notified(pilot, SideText.LACKS, side="the server", act="change /sensors", entry="may: {nodes: [/sensors]}")

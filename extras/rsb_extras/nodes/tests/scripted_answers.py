@@ -6,9 +6,9 @@ from rsb_extras.nodes.node_data import (
     FoundBy,
     LogLine,
     NameAndType,
-    NodeChanges,
     NodeDetails,
     Nodes,
+    NodesSeen,
     NodeState,
     OneNode,
     ProcessState,
@@ -28,9 +28,9 @@ KNOWN = (LIDAR, *CAMERAS, PLANNER, SHELL)
 PROCESS = ProcessState(812, "component_conta", 42, 310, 61, NOW - 7200)
 
 
-def answer(command: Nodes) -> NodeChanges:
+def answer(command: Nodes) -> NodesSeen:
     whole = (command.book, command.since) != (7, 20)
-    return NodeChanges(7, 20, True, NOW, KNOWN, (PROCESS,)) if whole else NodeChanges(7, 20, False, NOW)
+    return NodesSeen(7, 20, True, NOW, KNOWN, (PROCESS,)) if whole else NodesSeen(7, 20, False, NOW)
 
 
 def answer_one(command: OneNode) -> NodeDetails:

@@ -13,7 +13,8 @@ GROUPS = (
     UnitGroup(
         "robot1",
         (
-            UnitRecord("lidar", ("restart",), False, UnitState.FAILED, 3.0),
+            UnitRecord("gripper", ("restart",), False, UnitState.RUNNING, 3.0),
+            UnitRecord("lidar", ("restart",), True, UnitState.FAILED, 3.0),
             UnitRecord("nav", ACTIONS, True, UnitState.STOPPED, 2.0),
         ),
     ),

@@ -37,15 +37,17 @@ def test_units_of_both_sides_are_listed(machine: Machine, ran: Run) -> None:
     listed = ran("units")
     assert listed.code == OK
     assert listed.out.splitlines() == [
-        "UNIT    SIDE        STATE    AGE   ACTIONS",
-        "camera  this side   running  1.2s  restart",
-        "lidar   the server  failed   3.0s  may not be asked for",
-        "nav     the server  stopped  2.0s  start stop restart",
+        "UNIT     SIDE        STATE    AGE   ACTIONS",
+        "camera   this side   running  1.2s  restart",
+        "gripper  the server  running  3.0s  no right",
+        "lidar    the server  failed   3.0s  restart",
+        "nav      the server  stopped  2.0s  start stop restart",
     ]
     found = ran("units", "--json").json
     assert found["ok"]
     assert [(unit["link"], unit["name"], unit["state"]) for unit in found["units"]] == [
-        ("", "camera", "running"), ("robot1", "lidar", "failed"), ("robot1", "nav", "stopped"),
+        ("", "camera", "running"), ("robot1", "gripper", "running"), ("robot1", "lidar", "failed"),
+        ("robot1", "nav", "stopped"),
     ]  # fmt: skip
 
 
@@ -74,7 +76,7 @@ def test_wrong_usage_names_the_remedy(machine: Machine, ran: Run) -> None:
     assert "name the unit" in ran("units", "restart").err
     unknown = ran("units", "restart", "base", "--yes")
     assert (unknown.code, told(machine)) == (USAGE, [])
-    assert "there is no unit base; there are: camera, lidar, nav" in unknown.err
+    assert "there is no unit base; there are: camera, gripper, lidar, nav" in unknown.err
     assert "there are: camera" in ran("units", "restart", "nav", "--here", "--yes").err
 
 
@@ -106,4 +108,4 @@ def test_a_real_unit_comes_back(bridge: Bridge, machine: Machine, ran: Run, tmp_
 
 def test_names_are_completed(machine: Machine, here: None) -> None:
     machine.serve()
-    assert unit_names(Namespace()) == ["camera", "lidar", "nav"]
+    assert unit_names(Namespace()) == ["camera", "gripper", "lidar", "nav"]

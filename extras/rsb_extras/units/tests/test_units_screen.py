@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING
 from tests.console.driving import NARROW, engine_of, gone, notified, on_main, shown, text
 
 from rsb_bridge.api import EngineError
+from rsb_console.notation.side_answer import SideText
 from rsb_extras.units.tests.scripted_answers import GROUPS, LAST_LINE
+from rsb_extras.units.tests.units_places import AGED
 from rsb_extras.units.unit_records import ACTIONS, UnitOutcome, UnitState
-from rsb_extras.units.unit_requests import ControlUnit, ListUnits
+from rsb_extras.units.unit_requests import ControlUnit, ListUnits, UnitGroup
 from rsb_extras.units.units_command import UnitsCommandText
-from rsb_extras.units.units_screen import UnitsScreenText
+from rsb_extras.units.units_screen import UnitsScreen, UnitsScreenText
 
 if TYPE_CHECKING:
     import pytest
@@ -27,7 +29,7 @@ def told(app: ConsoleApp) -> list[tuple[object, ...]]:
 
 async def opened(pilot: Pilot[None], *down: str) -> None:
     await pilot.press("U")
-    await shown(pilot, "may not be asked for")
+    await shown(pilot, "no right")
     await pilot.press(*down)
 
 
@@ -36,15 +38,16 @@ async def test_units_of_both_sides_are_shown(app: ConsoleApp, pilot: Pilot[None]
     await opened(pilot)
     lines = [" ".join(line.strip(" │▌").split()) for line in text(app).splitlines()]
     assert "camera this side running 1.2s restart" in lines
-    assert "lidar the server failed 3.0s may not be asked for" in lines
+    assert "gripper the server running 3.0s no right" in lines
+    assert "lidar the server failed 3.0s restart" in lines
     assert "nav the server stopped 2.0s start stop restart" in lines
     await pilot.press("escape")
-    await gone(pilot, "may not be asked for")
+    await gone(pilot, "no right")
 
 
 @on_main(NARROW)
 async def test_an_action_is_asked_and_its_result_stays(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    await opened(pilot, "j", "j", "x")
+    await opened(pilot, "j", "j", "j", "x")
     await shown(pilot, "Restart unit nav of the server?")
     await pilot.press("n")
     await gone(pilot, "Restart unit nav of the server?")
@@ -69,7 +72,7 @@ async def restarting(pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch) -> Fut
     answer: Future[UnitOutcome] = Future()
     played = {ListUnits: lambda _: GROUPS, ControlUnit: lambda _: answer}
     monkeypatch.setattr("tests.console.scripted.answers", lambda: played)
-    await opened(pilot, "j", "j", "x")
+    await opened(pilot, "j", "j", "j", "x")
     await shown(pilot, "Restart unit nav of the server?")
     await pilot.press("y")
     await shown(pilot, "restart under way")
@@ -97,8 +100,47 @@ async def test_a_result_outlives_the_screen(
     answer.set_result(UnitOutcome(done=True, seconds=4.2, state=UnitState.RUNNING))
     await notified(pilot, UnitsCommandText.ENDED, name="nav", side="the server")
     app.clear_notifications()
-    await opened(pilot, "j", "j")
+    await opened(pilot, "j", "j", "j")
     await shown(pilot, "unit nav of the server: it came back in 4.2 s")
+
+
+@on_main(NARROW)
+async def test_a_missing_right_is_named_with_its_remedy(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await opened(pilot, "j", "x")
+    remedy = "may: {units: [gripper]}"
+    await notified(pilot, SideText.LACKS, side="the server", act="restart unit gripper", entry=remedy)
+    await shown(pilot, "file there")  # the end of it, in a message that is not cut
+    assert told(app) == []
+
+
+def _groups(problem: str) -> tuple[UnitGroup, ...]:
+    return GROUPS[0], UnitGroup("robot1", problem=problem)
+
+
+@on_main(NARROW)
+async def test_a_problem_is_not_cut(app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = "the server does not let demo look: add may: {units: [nav]} to client demo in the session file of pc"
+    monkeypatch.setattr("tests.console.scripted.answers", lambda: {ListUnits: lambda _: _groups(problem)})
+    await pilot.press("U")
+    await shown(pilot, "camera")
+    words = " ".join(text(app).replace("│", " ").split())
+    assert problem in words
+    assert f"the server: {problem}" not in words
+
+
+@on_main(NARROW)
+async def test_what_a_silent_side_has_said_is_no_state_of_now(
+    app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    AGED.set(monkeypatch, -UnitsScreen.EVERY)
+    due: Future[tuple[UnitGroup, ...]] = Future()
+    played: dict[object, object] = {ListUnits: lambda _: GROUPS}
+    monkeypatch.setattr("tests.console.scripted.answers", lambda: played)
+    await opened(pilot)
+    played[ListUnits] = lambda _: due
+    await shown(pilot, "ago: no answer since")
+    due.set_result(GROUPS)
+    await gone(pilot, "ago: no answer since")
 
 
 def test_each_question_fits() -> None:
