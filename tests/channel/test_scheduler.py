@@ -132,6 +132,29 @@ async def test_what_fits_is_fresh_beside_what_does_not(rate: int) -> None:
         assert late[-1] < 2.0
 
 
+async def test_full_stream_costs_other_one_no_turn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beside images that always wait for their stream, nearly all small messages leave at once, and in order."""
+    small, images = Route(1, outgoing=True), Route(2, always=40_000, outgoing=True)
+    async with connected(small, images, open_streams=Radio(2_500_000, tunnel=100_000, delay=0.02).open) as (near, far):
+        images.flush()
+        await pass_seconds(5, near, far)
+        asked: list[float] = []
+        ask = small.channel.ask
+
+        def noted() -> None:
+            asked.append(now())
+            ask()
+
+        monkeypatch.setattr(small.channel, "ask", noted)
+        for number in range(100):
+            assert near.scheduler.waits_since < math.inf
+            small.send(bytes([number]))
+            await asyncio.sleep(0.013)
+        await pass_seconds(1, near, far)
+        assert len(asked) < 20
+        assert far.routes[1].payloads == [bytes([number]) for number in range(100)]
+
+
 @pytest.mark.parametrize(("every", "full"), [(0.5, False), (0.1, True)])
 async def test_never_empty_queue_is_told_apart(every: float, full: bool) -> None:
     """A route alone, with messages that take 0.2 s each; by turns, it is in the queue and is not."""

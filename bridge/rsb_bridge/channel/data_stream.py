@@ -671,7 +671,7 @@ class StreamSender(_StreamEnd, SendingChannel):
         scheduler, via = self._scheduler, self.via
         size = len(batch[0][0]) if len(batch) == 1 else sum([len(payload) for payload, _, _ in batch])
         if size <= scheduler.chunk and (size < LARGE or not self._must_move(size)):
-            # Nothing waits, so there is no turn to wait for: the hot path.
+            # No turn is due, so there is none to wait for: the hot path.
             if size < via.spare or via.gathers():
                 via.gathered.append((self, batch))
                 via.gathered_size += size

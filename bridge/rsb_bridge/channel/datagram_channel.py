@@ -111,7 +111,7 @@ class DatagramSender(DatagramEnd, SendingChannel):
             return
         size = sum([len(payload) for payload, _, _ in batch])
         if size <= self._scheduler.chunk:
-            # Nothing waits, so there is no turn to wait for: the hot path.
+            # No turn is due, so there is none to wait for: the hot path.
             self._scheduler.charge(self.via, ((self, self._send(batch, size)),))
             return
         self._wait(batch)

@@ -56,7 +56,7 @@ class Carrier(ABC):
         behind: what its virtual time is behind the link's, because it was congested while other streams sent.
         moved_at: time (s) of its last receipt, or of its oldest unacknowledged byte if that came later.
         over: whether it is lost or closed: no route gets a turn on it any more.
-        spare: bytes that it takes next without further questions, as it gathers messages and nothing waits.
+        spare: bytes that it takes next without further questions, as it gathers messages and no turn is due.
     """
 
     def __init__(self, scheduler: Scheduler) -> None:
@@ -165,9 +165,15 @@ class Scheduler:
 
     @property
     def is_free(self) -> bool:
-        """Whether a message may be sent at once, if its stream takes it: nothing waits, and the window takes it."""
+        """Whether a message may be sent at once, if its stream takes it: no turn is due, and the window takes it."""
         # In a pass, turns are sealed and not yet written: a later message of their route would overtake them.
-        return not self._waiting and not self._passing and self.sent + self.gathered < self.window.limit
+        if self._passing or self.sent + self.gathered >= self.window.limit:
+            return False
+        if self._waiting:  # nearly always for a stream that takes nothing, as of images, which holds up no other one
+            for each in self._carriers:
+                if each.queue and not each.congested:
+                    return False
+        return True
 
     def join(self, end: SendingChannel) -> None:
         """Queue a route's end for a turn; one that had nothing to send does not make up for that.
@@ -203,7 +209,7 @@ class Scheduler:
         return self.window.limit - self.sent - self.gathered
 
     def charge(self, via: Carrier, sent: Iterable[tuple[SendingChannel, int]]) -> None:
-        """Move the starts of routes' next turns on `via` by bytes that they send without waiting, as nothing waits.
+        """Move the starts of routes' next turns on `via` by bytes that they send without waiting, as no turn is due.
 
         The link's time moves, too: else the routes would pay for these bytes once others wait.
         """
