@@ -177,7 +177,7 @@ async def test_look_lists_recordings_of_this_machine(
     folder.mkdir(parents=True)
     shutil.copy(path, folder / "stretch.mcap")
     (folder / ".stretch.fetch").mkdir()
-    await pilot.press("V", *"recording")
+    await pilot.press("V", *"stretch")
     await shown(pilot, "recording stretch.mcap")
     assert ".fetch" not in text(app)
     await pilot.press("enter")
@@ -214,7 +214,7 @@ async def test_recordings_of_one_name_are_told_apart(
     for folder in folders:
         (folder / "recordings").mkdir(parents=True)
         shutil.copy(path, folder / "recordings" / "stretch.mcap")
-    await pilot.press("V", *"recording")
+    await pilot.press("V", *"stretch")
     await shown(pilot, "recording stretch.mcap")
     assert text(app).count("recording stretch.mcap") == 2
 
@@ -226,7 +226,7 @@ async def test_recording_that_cannot_be_read_is_told(
     monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))
     (tmp_path / "recordings").mkdir()
     (tmp_path / "recordings" / "odd.mcap").write_text("text" * 20)
-    await pilot.press("V", *"recording", "enter")
+    await pilot.press("V", *"odd", "full_stop", *"mcap", "enter")
     await notified(pilot, UnreadableRecording.NO_RECORDING)
 
 
