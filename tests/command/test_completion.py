@@ -172,7 +172,7 @@ def test_no_argument_is_left_out() -> None:
     }  # fmt: skip
     own = {
         "audit --pair", "import --name", "import --port", "client add NAME", "pub --type", "review TOPIC",
-        "record --keep", "component load PACKAGE", "component load PLUGIN",
+        "record --keep", "record --with", "component load PACKAGE", "component load PLUGIN",
         *(f"component load --{option}" for option in ("name", "namespace", "param", "remap")),
     }  # fmt: skip
 
