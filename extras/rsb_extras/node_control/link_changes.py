@@ -179,7 +179,8 @@ class LinkChanges(Extension):
         run = self._runs.get(ask.ticket)
         if run is None:
             if reason := self._refusal(ask):
-                self._link.send(ChangeEnded(ask.ticket, ChangeOutcome(refused=True, reason=reason)))
+                # Asked again, it may have run, and be forgotten: a bridge that was started again knows nothing of it.
+                self._link.send(ChangeEnded(ask.ticket, ChangeOutcome(refused=not ask.again, reason=reason)))
                 return
             run = self._begin(ask)
         if ask.ticket not in self._reporting:

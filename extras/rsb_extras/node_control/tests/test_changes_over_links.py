@@ -268,9 +268,11 @@ def test_a_restarted_bridge_knows_nothing_of_a_change(bridge: Bridge, nodes: Man
     eventually(lambda: nodes.taken == UP[:2], what="a transition that lasts")
     robot.stop()
     bridge.client(features=has("nav", nav=NAV))
-    assert first.result(120).reason == (
+    outcome = first.result(120)
+    assert outcome.reason == (
         "the bridge there knows nothing of it any more: look at the nodes' states before you ask again"
     )
+    assert not outcome.refused, "a node was asked"
     nodes["controller"].go.set()
     assert nodes.taken == UP[:2]
 
