@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import msgspec
+import zstandard
 from msgspec.structs import replace
 from tests.console.driving import NARROW, gone, on_main, shown
 from tests.link.foreign_proposals_helpers import rogue
 from tests.support.bridge import linked
 from tests.support.waiting import eventually
 
-from rsb_extras.nodes.node_data import AskNodes, Nodes, NodesNews, NodesSeen, NodeState, OneNode
+from rsb_extras.nodes.node_data import AskNodes, NodeChanges, Nodes, NodesNews, NodesSeen, NodeState, OneNode
 from rsb_extras.nodes.tests.nodes_places import AGED, ANSWERED_WITHIN, LOOKED_FOR
 from rsb_extras.nodes.tests.packed_changes import packed
 from rsb_extras.nodes.tests.scripted_answers import KNOWN, NOW, PROCESS, answer_one
@@ -29,7 +31,8 @@ def names(engine: Engine) -> list[str]:
 
 
 def of(*names: str, number: int = 1) -> bytes:
-    return packed(NodesSeen(1, number, True, 0, tuple(NodeState(each) for each in names)))
+    known = NodeChanges(1, number, True, 0, tuple(NodeState(each) for each in names))
+    return zstandard.compress(msgspec.msgpack.encode(known))
 
 
 def test_answer_after_its_time_counts(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
