@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from rsb_console.command.ways import RemoteWay
     from rsb_console.console_api import Console
     from rsb_console.notation.console_setting import ConsoleSetting
+    from rsb_console.notation.formats import time_of_day
     from rsb_console.notation.glyphs import DONE, FAILED, STATE_SIGN, STATE_WORD, sparkline
     from rsb_console.notation.link_fact import LinkFact
     from rsb_console.notation.route_fact import RouteFact
@@ -125,6 +126,7 @@ _NAMES = {
     "rsb_console.command.ways": ("RemoteWay",),
     "rsb_console.console_api": ("Console",),
     "rsb_console.notation.console_setting": ("ConsoleSetting",),
+    "rsb_console.notation.formats": ("time_of_day",),
     "rsb_console.notation.glyphs": ("DONE", "FAILED", "STATE_SIGN", "STATE_WORD", "sparkline"),
     "rsb_console.notation.link_fact": ("LinkFact",),
     "rsb_console.notation.route_fact": ("RouteFact",),

@@ -27,8 +27,8 @@ from rsb_console.feature_console import (
     parameter_value,
     shown_value,
     side_of,
+    time_of_day,
 )
-from rsb_console.notation import formats
 from rsb_extras.node_control.change_records import ChangeText
 from rsb_extras.node_control.change_requests import ChangeNodes
 from rsb_extras.node_control.lifecycle_rows import LifecycleText
@@ -160,7 +160,7 @@ class ParametersScreen(FilteredScreen[None]):
                 self._problem = str(error)
             else:
                 self._found = {each.name: each for each in found}
-                self._read_at = formats.time_of_day(time.time())
+                self._read_at = time_of_day(time.time())
                 self._first = self._first or self._found
         self.show()
 

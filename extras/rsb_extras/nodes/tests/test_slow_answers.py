@@ -14,7 +14,6 @@ from tests.support.waiting import eventually
 
 from rsb_extras.nodes.node_data import AskNodes, NodeChanges, Nodes, NodesNews, NodesSeen, NodeState, OneNode
 from rsb_extras.nodes.tests.nodes_places import AGED, ANSWERED_WITHIN, LOOKED_FOR
-from rsb_extras.nodes.tests.packed_changes import packed
 from rsb_extras.nodes.tests.scripted_answers import KNOWN, NOW, PROCESS, answer_one
 
 if TYPE_CHECKING:

@@ -24,7 +24,6 @@ from rsb_extras import nodes
 from rsb_extras.nodes.lifecycle_states import state_in
 from rsb_extras.nodes.log_messages import Logged, read_log
 from rsb_extras.nodes.node_data import AskNode, AskNodes, LogLine, NodeChanges, Nodes, NodesNews, NodeState, NodeTold
-from rsb_extras.nodes.tests.packed_changes import packed
 
 if TYPE_CHECKING:
     from tests.support.bridge import Bridge
@@ -39,6 +38,10 @@ def test_the_page_documents_each_field() -> None:
     found = {each.__name__: {field.name for field in msgspec.structs.fields(each)} for each in messages}
     documented = documented_fields(PAGE.read_text(encoding="utf-8").partition("These are lists")[0])
     assert documented == found
+
+
+def packed(changes: Any) -> bytes:
+    return zstandard.compress(msgspec.msgpack.encode(changes))
 
 
 BOMB = zstandard.compress(bytes(2 << 20))
