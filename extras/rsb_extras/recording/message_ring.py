@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from bisect import bisect_left
 from collections import deque
 from itertools import chain
@@ -115,7 +116,7 @@ def of_last(
         messages: oldest first.
     """
     first = bisect_left(messages, began, key=lambda each: each.at)
-    newest = LatchedMessages()
+    newest = LatchedMessages(sys.maxsize)  # the ring has bounded them: what it has kept is not left out here
     for each in chain(latched, (each for each in messages[:first] if each.topic.qos.latched)):
         newest.add(each)
     return [*newest], messages[first:]

@@ -112,3 +112,12 @@ def test_shorter_window_begins_with_latched_messages() -> None:
     assert (times(latched), times(messages)) == ([4.1], [7.1, 8.1, 9.1])
     latched, messages = of_last(*ring.copy(10.0), began=50.0)
     assert (times(latched), messages) == ([4.1], [])
+
+
+def test_all_latched_messages_of_a_large_ring_are_returned() -> None:
+    """The ring may be twice as large as the bound on what a file of the ring on disk begins with."""
+    ring = MessageRing(1.0, 256 << 20)
+    for number, topic in enumerate(("/map", "/plan", "/world")):
+        ring.add(message(number, bytes([number]) + bytes(50 << 20), TopicSpec(topic, MAP.type_name, "", LATCHED)))
+    latched, _ = of_last(*ring.copy(10.0), began=9.0)
+    assert times(latched) == [0, 1, 2]
