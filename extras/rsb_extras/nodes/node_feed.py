@@ -11,7 +11,7 @@ from rsb_extras.nodes.node_book import NodeBook
 from rsb_extras.nodes.node_data import Nodes
 
 if TYPE_CHECKING:
-    from rsb_console.feature_console import Console, Line
+    from rsb_console.feature_console import Console
 
 
 class NodeFeedText(Wording):
@@ -66,12 +66,12 @@ class NodeFeed:
         return NodeFeedText.THIS_SIDE() if self.side is None else self.side
 
     @property
-    def summary(self) -> Line:
-        """How many nodes there are, and how well, or why that is not known."""
+    def summary(self) -> list[tuple[str, str]]:
+        """How many nodes there are, and how well, or why that is not known: lines, each with its look."""
         if self.problem:
-            return ((self.problem, "down"),)
+            return [(self.problem, "down")]
         if not self.is_known:
-            return ((NodeFeedText.ASKING(side=self.side_name), "dim"),)
+            return [(NodeFeedText.ASKING(side=self.side_name), "dim")]
         counts = node_rows.counts(self.book.nodes.values(), self.now), ""
         as_of = node_rows.as_of(self.age)
-        return (counts, (f", {as_of}", "waiting")) if as_of else (counts,)
+        return [(as_of, "waiting"), counts] if as_of else [counts]

@@ -30,8 +30,7 @@ class NodeLines(TileLines):
     def lines(self, height: int) -> Sequence[Line]:
         now, book = self._feed.now, self._feed.book
         shared = node_rows.sharing(book.nodes.values())
-        worst = sorted(book.nodes.values(), key=lambda each: (node_rows.health(each, now), each.name))[: height - 1]
-        return [
-            self._feed.summary,
-            *(node_rows.node_line(each, each.name, now, book.processes, shared(each)) for each in worst),
-        ]
+        summary = [(line,) for line in self._feed.summary]
+        worst = sorted(book.nodes.values(), key=lambda each: (node_rows.health(each, now), each.name))
+        lines = [node_rows.node_line(each, each.name, now, book.processes, shared(each)) for each in worst[:height]]
+        return [*summary, *lines][:height]

@@ -26,6 +26,7 @@ from rsb_console.feature_console import (
     ScrolledLines,
     SelectableList,
     fit,
+    wrapped,
 )
 from rsb_extras.nodes import node_rows
 from rsb_extras.nodes.node_data import OneNode
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
 _RENEWED_EVERY = 1.0  # s; the bridges ask each other as often
 _FOLDED_FROM = 8  # nodes of a namespace without a fault. A round figure
 _LABEL = 12
+_WIDTH = 74  # cells, until the screen is laid out
 ON_NODE = {action.id: action.on_node for action in ACTIONS if action.on_node is not None}
 HELP = "   ".join(
     ("⏎ node, or fold", "/ filter", "f faults", "t its topics", *(each.label for each in ON_NODE.values()), "s side",
@@ -96,7 +98,7 @@ class NodesScreen(FilteredScreen[str | None]):
     ]
     AUTO_FOCUS = "#nodes"
     DEFAULT_CSS = """
-    #nodes-summary { height: 1; background: $surface; }
+    #nodes-summary { background: $surface; }
     #nodes { height: 1fr; margin: 1 0; background: $surface; }
     """
 
@@ -150,7 +152,8 @@ class NodesScreen(FilteredScreen[str | None]):
         parts = ["Nodes", feed.side_name, "faults only" if self._faults_only else ""]
         parts.append("" if self.pattern is None else f"/{self.pattern.text}")
         self.query_one(Dialog).border_title = " ▸ ".join(filter(None, parts))
-        self.summary.put([feed.summary])
+        width = self.summary.size.width or _WIDTH
+        self.summary.put([line for part, look in feed.summary for line in wrapped(part, width, look)])
         self.table.show(self._tree())
         if self._wanted in self.table.keys:
             self.table.move_to(self.table.keys.index(self._wanted))
