@@ -46,7 +46,7 @@ class SidesScreen(ModalScreen[None], Generic[S]):
 
     BINDINGS: ClassVar = [Binding("escape,q", "dismiss", show=False)]
     DEFAULT_CSS = """
-    #side-problems { margin-bottom: 1; background: $surface; }
+    #side-problems { max-height: 30%; margin-bottom: 1; background: $surface; }
     """
     EVERY: ClassVar[float]
 

@@ -129,6 +129,19 @@ async def test_a_problem_is_not_cut(app: ConsoleApp, pilot: Pilot[None], monkeyp
 
 
 @on_main(NARROW)
+async def test_problems_of_many_robots_leave_room_for_units(
+    app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    problem = "not linked: no connection for 40 s, as the server does not answer; check that its bridge runs"
+    groups = (GROUPS[0], *(UnitGroup(f"robot{number}", problem=problem) for number in range(8)))
+    monkeypatch.setattr("tests.console.scripted.answers", lambda: {ListUnits: lambda _: groups})
+    await pilot.press("U")
+    await shown(pilot, "not linked")
+    assert app.screen.table.is_seen()  # type: ignore[attr-defined]  # the screen of units
+    assert "camera" in text(app)
+
+
+@on_main(NARROW)
 async def test_what_a_silent_side_has_said_is_no_state_of_now(
     app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
