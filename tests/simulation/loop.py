@@ -221,10 +221,8 @@ class SimulatedLoop(asyncio.AbstractEventLoop):
             except (SystemExit, KeyboardInterrupt):
                 raise
             except BaseException as error:  # noqa: BLE001 — as every event loop does
-                program = handle.program()
-                if program is not None and not program.alive:
-                    continue  # a timer of a process that was killed, in which nothing works any more
-                self.call_exception_handler({"message": f"exception in {handle.callback}", "exception": error})
+                details = {"message": f"exception in {handle.callback}", "exception": error}
+                handle.context.run(self.call_exception_handler, details)
 
     def freeze(self, program: Program) -> None:
         self._frozen.setdefault(program, [])
@@ -267,7 +265,9 @@ class SimulatedLoop(asyncio.AbstractEventLoop):
         """Do nothing: it has no executor."""
 
     def call_exception_handler(self, context: dict[str, Any]) -> None:
-        self.on_error(context)
+        program = PROGRAM.get(None)
+        if program is None or program.alive:  # a killed process tells nobody that its tasks have ended
+            self.on_error(context)
 
     def fail(self, error: BaseException) -> None:
         """Stop, and raise an exception in the caller of `run_until_complete`."""

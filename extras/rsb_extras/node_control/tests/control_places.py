@@ -7,3 +7,5 @@ from tests.support.places import Place
 TICKET_LIFE = Place("rsb_extras.node_control.link_changes", "TICKET_LIFE")
 MANAGED_NAMES = Place("rsb_extras.node_control.node_changer", "managed_names")
 STARTS_WITHIN = Place("rsb_extras.node_control.link_changes", "STARTS_WITHIN")
+WORK = Place("rsb_extras.node_control.node_changer", "NodeChanger._work")
+ARMED = Place("rsb_extras.node_control.node_changer", "armed_of_nodes")

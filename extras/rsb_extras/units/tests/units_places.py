@@ -7,3 +7,5 @@ from tests.support.places import Place
 ASKED_WITHIN = Place("rsb_extras.units.link_units", "ASKED_WITHIN")
 TICKET_LIFE = Place("rsb_extras.units.link_units", "TICKET_LIFE")
 AGED = Place("rsb_console.screens.sides_screen", "_AGED")
+EXECUTE = Place("rsb_extras.units.unit_runner", "UnitRunner._execute")
+ARMED = Place("rsb_extras.units.unit_runner", "armed_of_nodes")
