@@ -126,7 +126,7 @@ def _list(arguments: Namespace) -> int:
         raise EngineError(problems[link])
     if arguments.json:
         listed = [{"link": group.link} | _as_data(each) for group in groups for each in newest_first(group)]
-        return done(arguments, recordings=listed, fetches=msgspec.to_builtins(fetches), problems=problems)
+        return done(arguments, recordings=listed, fetches=[*map(_fetch_data, fetches)], problems=problems)
     rows = [(each.name, side_of(role, group.link), *texts_of(each)) for group in groups for each in newest_first(group)]
     for line in table_lines(HEADINGS, rows) if rows else ([] if problems else [CourierCommandText.NONE()]):
         print_line(line)
@@ -140,6 +140,10 @@ def _list(arguments: Namespace) -> int:
 def _as_data(listed: ListedRecording) -> dict[str, object]:
     topics = [{"name": each.name, "type": each.type_name, "messages": each.messages} for each in listed.topics]
     return asdict(listed) | {"topics": topics}
+
+
+def _fetch_data(fetch: FetchReport) -> dict[str, object]:
+    return asdict(fetch) | {"completed": msgspec.to_builtins(fetch.completed)}
 
 
 def newest_first(group: RecordingGroup) -> list[ListedRecording]:
@@ -260,8 +264,7 @@ def bar_text(fetch: FetchReport) -> str:
 def _tell(engine: RemoteEngine, arguments: Namespace, fetch: FetchReport) -> int:
     is_done = fetch.state is FetchState.DONE
     if arguments.json:
-        data = msgspec.structs.asdict(fetch) | {"completed": msgspec.to_builtins(fetch.completed)}
-        print_line(json_line({"ok": is_done} | ({} if is_done else {"error": fetch.reason}) | data))
+        print_line(json_line({"ok": is_done} | ({} if is_done else {"error": fetch.reason}) | _fetch_data(fetch)))
     elif is_done:
         text = CourierCommandText.DONE if engine.trusted else CourierCommandText.DONE_THERE
         print_line(done_text(fetch, text))

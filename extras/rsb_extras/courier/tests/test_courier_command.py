@@ -77,6 +77,7 @@ def test_recordings_of_both_sides_are_listed(machine: Machine, ran: Run) -> None
         "name": "/scan", "type": "sensor_msgs/msg/LaserScan", "messages": 900,
     }  # fmt: skip
     assert found["fetches"][0]["rate"] == 1_500_000
+    assert [found["fetches"][0][key] for key in ("messages", "path", "reason", "completed")] == [0, "", "", None]
 
 
 def test_a_fetch_is_waited_for_without_a_bar_where_no_terminal_is(asked: list[Any], ran: Run) -> None:
