@@ -67,6 +67,8 @@ def records(opened: IO[bytes]) -> Iterator[Record]:
         if len(head) < HEAD.size:
             break
         kind, length = HEAD.unpack(head)
+        if not kind:  # no record: a power cut has left zeros, of which each nine bytes would be one
+            break
         at += HEAD.size
         if has_data and kind in (SCHEMA, CHANNEL, IS_MESSAGE, CHUNK):
             if length > LONGEST:

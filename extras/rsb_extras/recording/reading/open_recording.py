@@ -366,7 +366,9 @@ def _from_summary(opened: IO[bytes], path: Path) -> _Index | None:
         return None
     if statistics.message_start_time:  # a chunk without messages has no times
         blocks = [block for block in blocks if block.begin or block.end]
-    counts = Counter({channel: statistics.channel_message_counts.get(at, 0) for at, channel in table.channels.items()})
+    counts: Counter[StoredChannel] = Counter()
+    for number, channel in table.channels.items():  # some writers begin the same channel again
+        counts[channel] += statistics.channel_message_counts.get(number, 0)
     return _Index(blocks, counts)
 
 

@@ -6,6 +6,7 @@ import os
 import sqlite3
 import struct
 import tracemalloc
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from rosbags.rosbag2 import CompressionMode, StoragePlugin
 from tests.support.wording import says
 
 from rsb_extras.audit.tests.bags import add, old_bag, string, write_bag
+from rsb_extras.recording.reading.mcap_records import MCAP_MAGIC, records
 from rsb_extras.recording.reading.open_recording import OpenRecording, messages_of, summary_of
 from rsb_extras.recording.reading.recording_files import StoredMessages
 from rsb_extras.recording.reading.stored_message import Damage, DamageError, RecordingError, UnreadableRecording
@@ -99,6 +101,39 @@ def test_file_that_is_cut_off_is_read_to_there(together: int, tmp_path: Path, mo
         assert [number_of(message) for message in found] == list(range(len(found)))
         assert [number_of(each) for each in messages_of(path, begin=21 * STEP, end=23 * STEP)] == [20, 21]
         assert (summary.end, bool(summary.cut)) == (found[-1].time, True)
+
+
+class _Counted(BytesIO):
+    """A file that counts how often it is read."""
+
+    reads = 0
+
+    def read(self, size: int | None = -1) -> bytes:
+        self.reads += 1
+        return super().read(size)
+
+
+def test_zeros_behind_a_power_cut_take_no_time(tmp_path: Path) -> None:
+    whole = write(tmp_path / "a.mcap", [STEP * number for number in range(1, 100)]).read_bytes()
+    cut = _Counted(whole[: len(whole) // 2] + bytes(1 << 20))
+    cut.seek(len(MCAP_MAGIC))
+    with pytest.raises(EOFError):
+        for _ in records(cut):
+            pass
+    assert cut.reads < 1000
+
+
+def test_channel_that_a_writer_has_begun_twice_has_all_its_messages(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with path.open("wb") as file:
+        writer: Any = Writer(file)
+        writer.start()
+        schema = writer.register_schema("std_msgs/msg/UInt64", "ros2msg", b"uint64 data")
+        for number in range(2):
+            channel = writer.register_channel("/topic", "cdr", schema, {})
+            writer.add_message(channel, STEP * number, content(number), 0)
+        writer.finish()
+    assert summary_of(path).messages == 2
 
 
 def test_damaged_chunk_ends_a_recording_there(tmp_path: Path) -> None:
