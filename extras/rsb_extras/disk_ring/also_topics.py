@@ -71,6 +71,8 @@ class AlsoTopics:
         if not self._patterns:
             return
         before, self._carried = self._carried, self._carried_now()
+        for topic in self._carried & self._topics.keys():  # at once: else each message would be in the ring twice
+            self._drop(topic)
         if before - self._carried:  # each second counts: their messages are in no ring
             self._looked_at = float("-inf")
         now = self._context.now()
