@@ -10,6 +10,7 @@ import heapq
 import itertools
 import sqlite3
 from collections import Counter, deque
+from contextlib import suppress
 from typing import TYPE_CHECKING, NamedTuple
 
 from msgspec.structs import replace
@@ -40,6 +41,8 @@ _ON_TIME, _SPREADS = 20_000_000, 4
 _ALL_PROFILES = 1 << 20
 """Characters of QoS of all channels that are parsed, which takes 0.1 s for 20,000. A round figure."""
 _NEVER = 1 << 100  # ns
+_MOST = 1 << 45
+"""Bytes of a topic, and ns (10 hours) of the spread, that are told at most: a robot may say more than crosses."""
 _PUBLISHERS = 16  # of a topic that are told apart by their numbers. A round figure
 _MOST_LOST = 100_000
 """Messages in a gap of a publisher's numbers, above which it is another publisher. A round figure."""
@@ -136,7 +139,9 @@ class MessageIndex:
         self._count = Counter[str]()
         self._profiles = 0
         self._there = {each.there: number for number, each in enumerate(topics)}
-        self._here = {each.here: number for number, each in enumerate(topics)}
+        # What came live by a name that a carried topic has here is not of a topic of that name over there.
+        named = sorted(enumerate(topics), key=lambda each: each[1].here != each[1].there)
+        self._here = {each.here: number for number, each in named}
         self.latched: set[int] = set()
         self.channels: list[StoredChannel] = []
         self._numbers: dict[StoredChannel, int] = {}
@@ -144,7 +149,8 @@ class MessageIndex:
 
     def interrupt(self) -> None:
         """End what another thread has begun."""
-        self._database.interrupt()
+        with suppress(sqlite3.ProgrammingError):  # that one has closed it
+            self._database.interrupt()
 
     def close(self) -> None:
         self._database.close()
@@ -253,6 +259,8 @@ class MessageIndex:
             " FROM each WHERE live IS NULL)"
             " SELECT topic, MIN(time), MAX(time) FROM gone GROUP BY topic, part ORDER BY MIN(time), topic"
         )
+        # Only those that have not come: of equal ones of one time, each would else be looked for behind all before it.
+        execute("CREATE INDEX missing ON there (topic, time, key) WHERE live IS NULL AND came IS NULL")
 
     def _find_offset(self, ahead: float | None) -> int:
         """Set the clock, and return how much faster than that a message may be (ns)."""
@@ -269,7 +277,7 @@ class MessageIndex:
         query = "SELECT ns FROM delay ORDER BY ns LIMIT 1 OFFSET ?"
         places = 0, count // _TENTH, count // _QUARTER
         fastest, tenth, quarter = (int(execute(query, (at,)).fetchone()[0]) for at in places)
-        self.clock = CompletedClock(ClockSource.MESSAGES, tenth, count, quarter - tenth)
+        self.clock = CompletedClock(ClockSource.MESSAGES, tenth, count, min(quarter - tenth, _MOST))
         return min(max(tenth - fastest, 0), _EARLY) + _LEAST_EARLY
 
     @property
@@ -408,8 +416,8 @@ class MessageIndex:
         topic = self._there.get(message.channel.topic, -1)
         key = content_key(message.content, is_cdr=message.channel.encoding == "cdr")
         query = (
-            "SELECT id, channel, time, published, number FROM there WHERE topic = ? AND time = ? AND key = ? AND live"
-            " IS NULL AND came IS NULL ORDER BY id LIMIT 1"
+            "SELECT id, channel, time, published, number FROM there INDEXED BY missing WHERE topic = ? AND time = ?"
+            " AND key = ? AND live IS NULL AND came IS NULL ORDER BY id LIMIT 1"
         )
         found = self._database.execute(query, (topic, message.time, key)).fetchone()
         if found is None:
@@ -431,9 +439,8 @@ class MessageIndex:
             query = "SELECT COUNT(*), MIN(time), MAX(time) FROM there WHERE topic = ? AND live IS NULL AND came IS NULL"
             absent = self._database.execute(query, (topic,)).fetchone()
             only = self._only_live(topic, begin, end)
-            yield TopicFigures(
-                both + only, only, fetched, int(size), int(whole), AbsentMessages(*absent) if absent[0] else None
-            )
+            size, whole = (min(int(each), _MOST) for each in (size, whole))
+            yield TopicFigures(both + only, only, fetched, size, whole, AbsentMessages(*absent) if absent[0] else None)
 
     def _only_live(self, topic: int, begin: int, end: int) -> int:
         query = (

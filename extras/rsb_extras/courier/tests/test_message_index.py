@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import TYPE_CHECKING
 
 import pytest
@@ -165,3 +166,32 @@ def test_what_is_no_head_is_refused(tmp_path: Path) -> None:
     with pytest.raises(PieceError):
         index.add_there([at(0)])
     index.close()
+
+
+def test_equal_messages_of_one_time_take_no_longer(compared: Compared) -> None:
+    """As a robot may say that it has 20 million of them: each was looked for behind all before it."""
+    same = at(0)
+    index = compared([same] * 20_000, [])
+    began = time.monotonic()
+    index.begin_fetched()
+    places = [index.fetched_place(same) for _ in range(20_001)]
+    assert time.monotonic() - began < 20
+    assert [place is not None and place.id for place in places] == [*range(1, 20_001), False]
+
+
+def test_a_topic_of_there_does_not_take_what_another_one_has_here(tmp_path: Path) -> None:
+    """The robot's /scan is /robot/scan here, and it has a topic of that name, too, which no link carries."""
+    names = [CompletedName("/scan", "/robot/scan"), CompletedName("/robot/scan", "/robot/scan")]
+    index = MessageIndex(tmp_path / "one.db", names, _room)
+    index.add_there([head_of(at(0, b"one", "/scan")), head_of(at(1, b"two", "/robot/scan"))])
+    index.add_live([(1, at(5, b"one", "/robot/scan"))])
+    index.compare(None)
+    assert [(each.live, each.only_live) for each in index.figures(0, LATEST)] == [(1, 0), (0, 0)]
+    index.close()
+
+
+def test_figures_of_a_clock_that_was_set_have_bounds(compared: Compared) -> None:
+    """A console refuses more than 2^53."""
+    live = every(100, 100)
+    index = compared([each._replace(time=n if n % 9 else each.time) for n, each in enumerate(live)], live)
+    assert 0 < index.clock.spread <= 2**53
