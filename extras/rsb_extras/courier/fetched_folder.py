@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import stat
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,16 +31,22 @@ class FolderFullError(Exception):
 def make_room(folder: Path, most: float) -> list[Path]:
     """Remove the oldest recordings that were fetched, until the folder has so many GB at most; return them.
 
-    What is being fetched counts, and stays. So does a file whose mode is not the bridge's: an operator keeps it.
+    What is being fetched counts, and stays, with what it completes. So does a file whose mode is not the bridge's: an
+    operator keeps it.
 
     Raises:
         FolderFullError: what stays has more. Nothing is removed.
         OSError: one cannot be removed.
     """
     sizes = dict(_files(folder))
-    total = sum(status.st_size for status in sizes.values())
+    names = Counter(map(_inode, sizes.values()))  # a fetch may link what another one or the folder has
+    total = sum({_inode(status): status.st_size for status in sizes.values()}.values())
     removable = sorted(
-        (path for path, status in sizes.items() if path.parent == folder and _is_own(path, status)),
+        (
+            path
+            for path, status in sizes.items()
+            if path.parent == folder and _is_own(path, status) and names[_inode(status)] == 1
+        ),
         key=lambda path: (sizes[path].st_mtime_ns, path.name),
     )
     stays = total - sum(sizes[path].st_size for path in removable)
@@ -53,6 +60,10 @@ def make_room(folder: Path, most: float) -> list[Path]:
         total -= sizes[path].st_size
         removed.append(path)
     return removed
+
+
+def _inode(status: os.stat_result) -> tuple[int, int]:
+    return status.st_dev, status.st_ino
 
 
 def _is_own(path: Path, status: os.stat_result) -> bool:

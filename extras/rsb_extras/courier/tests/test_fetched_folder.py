@@ -103,3 +103,14 @@ def test_a_fetch_beyond_the_bound_waits_for_room(
         for each in kept:
             each.unlink()
         done(pc, name)
+
+
+def test_what_a_fetch_completes_counts_once_and_stays(tmp_path: Path) -> None:
+    named = put(tmp_path / "named.mcap", 0)
+    old = put(tmp_path / "old.mcap", 1)
+    for name in (".one.fetch", ".two.fetch"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "0001.mcap").hardlink_to(named)
+    assert make_room(tmp_path, 0.01) == []
+    assert make_room(tmp_path, 0.005) == [old]
+    assert named.exists()
