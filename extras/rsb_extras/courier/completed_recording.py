@@ -36,6 +36,7 @@ class AskedCompletion(msgspec.Struct, frozen=True):
         begin: ns since the epoch on the other side's clock, the first time that counts, and `end` the last one.
         is_open: whether the span goes on as far as what came live.
         ahead: s by which the other side's clock is ahead, as the link has measured it, or None.
+        live: the recording of this side, as an operator named it, or empty for all that this bridge has.
     """
 
     topics: tuple[CompletedName, ...]
@@ -43,6 +44,7 @@ class AskedCompletion(msgspec.Struct, frozen=True):
     end: Nanoseconds = LATEST
     is_open: bool = False
     ahead: float | None = None
+    live: str = ""
 
 
 class MissingReason(StrEnum):

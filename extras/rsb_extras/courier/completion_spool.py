@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import hashlib
 import itertools
 import sqlite3
 from typing import TYPE_CHECKING
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
     from rsb_extras.courier.fetch_spool import AskedFetch
     from rsb_extras.courier.live_parts import LivePart
     from rsb_extras.courier.message_index import Placed, TopicFigures
+    from rsb_extras.courier.pieces import Channels
     from rsb_extras.recording.mcap_file import McapFile
     from rsb_extras.recording.reading.stored_message import StoredChannel, StoredMessage
 
@@ -70,11 +72,18 @@ class CompletionSpool(Spool):
         self._parts = parts
         self._rows = [PieceRow(folder / _HEADS, asked.wanted, asked.listed.size, self._working)]
         self._orders = 0
+        self._channels: Channels | None = None
         self._index: MessageIndex | None = None
 
     def _prepare(self) -> None:
         self._rows[0].folder.mkdir(0o700)
-        keep_parts(self._parts, self.folder / _LIVE)
+        unfinished = self.folder / f"{_LIVE}{UNFINISHED}"
+        keep_parts(self._parts, unfinished)
+        unfinished.rename(self.folder / _LIVE)
+
+    @property
+    def is_made(self) -> bool:
+        return (self.folder / _LIVE).is_dir()
 
     @property
     def rows(self) -> Sequence[PieceRow]:
@@ -88,7 +97,7 @@ class CompletionSpool(Spool):
         return _HEADS_SHARE + (1 - _HEADS_SHARE) * done / self._orders
 
     def next_row(self, stop: Callable[[], bool]) -> PieceRow | None:
-        with self._working:
+        with self._working, self._indexing():
             while self._rows[-1].is_whole:
                 index = self._index or self._compared(stop)
                 if len(self._rows) > self._orders:
@@ -99,9 +108,13 @@ class CompletionSpool(Spool):
     def _row(self, index: MessageIndex, number: int, stop: Callable[[], bool]) -> PieceRow:
         """Return the pieces of one order of missing messages, with those that have come."""
         wanted = index.order(number - 1, self.asked.wanted)
-        folder = self.folder / f"{number:04}"
+        # A bridge of another version may find other ones missing: pieces of another order are none of this one.
+        digest = hashlib.sha256(msgspec.msgpack.encode(wanted)).hexdigest()[:16]
+        folder = self.folder / f"{number:04}-{digest}"
         folder.mkdir(0o700, exist_ok=True)
-        row = PieceRow(folder, wanted, self.asked.listed.size, self._working, self._rows[0].channels())
+        if self._channels is None:
+            self._channels = self._rows[0].channels()
+        row = PieceRow(folder, wanted, self.asked.listed.size, self._working, self._channels)
         row.load(stop)
         return row
 
@@ -112,11 +125,24 @@ class CompletionSpool(Spool):
         try:
             self._fill(index, stop)
         except BaseException:
-            self._index = None
-            index.close()
+            self._drop_index()
             raise
         self._orders = index.orders
         return index
+
+    def _drop_index(self) -> None:
+        index, self._index = self._index, None
+        if index is not None:
+            index.close()
+
+    @contextlib.contextmanager
+    def _indexing(self) -> Iterator[None]:
+        """Raise OSError if the index fails, which is made anew then: what was not written whole may say anything."""
+        try:
+            yield
+        except sqlite3.Error as error:
+            self._drop_index()
+            raise OSError(errno.ENOSPC, CompletionProblem.NO_ROOM(folder=self.folder, error=error)) from None
 
     def _fill(self, index: MessageIndex, stop: Callable[[], bool]) -> None:
         try:
@@ -127,8 +153,6 @@ class CompletionSpool(Spool):
             index.compare(self._completes.ahead)
         except TooManyMessagesError:
             raise PieceError(CompletionProblem.TOO_MANY(most=MOST_MESSAGES)) from None
-        except sqlite3.Error as error:
-            raise OSError(errno.ENOSPC, CompletionProblem.NO_ROOM(folder=self.folder, error=error)) from None
 
     def _live(self) -> Iterator[tuple[Path, StoredMessage]]:
         """Yield the messages that came live, file by file; what is damaged ends a file."""
@@ -141,6 +165,10 @@ class CompletionSpool(Spool):
     # --- the file
 
     def _write(self, stop: Callable[[], bool]) -> int:
+        with self._indexing():
+            return self._write_file(stop)
+
+    def _write_file(self, stop: Callable[[], bool]) -> int:
         if self.next_row(stop) is not None or self._index is None:
             raise PieceError(PieceProblem.CUT())
         self.path.unlink(missing_ok=True)
@@ -186,12 +214,10 @@ class CompletionSpool(Spool):
                     recording.copy(_placed(message, channels[place.channel], place))
 
     def close(self) -> None:
-        if self._index is not None:
-            self._index.interrupt()
+        if (index := self._index) is not None:
+            index.interrupt()
         with self._working:
-            if self._index is not None:
-                self._index.close()
-            self._index = None
+            self._drop_index()
 
     def remove(self) -> None:
         self.close()
@@ -236,7 +262,10 @@ class CompletionSpool(Spool):
         listed, heads = self.asked.listed, self._rows[0]
         if topic in heads.denied:
             yield MissingSpan(MissingReason.DENIED, begin, end)
-        elif all(channel.topic != topic for channel in index.channels) and not heads.damage:
+        elif not heads.damage and topic not in {
+            *(each.name for each in listed.topics),
+            *(each.topic for each in index.channels),
+        }:
             yield MissingSpan(MissingReason.NOT_RECORDED, begin, end)
         else:
             first, last = index.here(listed.begin), index.here(heads.at.time if heads.damage else listed.end)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 import errno
 import os
+import shutil
 from collections import deque
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -41,7 +42,7 @@ from rsb_extras.courier.courier_requests import (
     NewestRecordings,
     RecordingGroup,
 )
-from rsb_extras.courier.fetch_spool import SPOOL, AskedFetch, FetchSpool, Spool, load_asked
+from rsb_extras.courier.fetch_spool import GONE, SPOOL, AskedFetch, FetchSpool, Spool, load_asked
 from rsb_extras.courier.fetched_folder import FolderFullError, make_room
 from rsb_extras.courier.kept_recordings import FetchError, KeptRecordings
 from rsb_extras.courier.link_courier import CourierCode, LinkCourier
@@ -171,7 +172,7 @@ class CourierPart(EnginePart):
         return f"{session.role} {session.name}"
 
     def open(self) -> None:
-        if next(self._kept.fetched.glob(f".*{SPOOL}"), None) is not None:
+        if any(next(self._kept.fetched.glob(f".*{end}"), None) is not None for end in (SPOOL, GONE)):
             self._loading = self._context.loop.create_task(self._load())
 
     async def _load(self) -> None:
@@ -228,7 +229,10 @@ class CourierPart(EnginePart):
                 completes, wanted = None, _wanted(command, listed)
             for fetch in self._fetches.values():
                 asked = fetch.asked
-                if not fetch.is_over and (asked.link, asked.wanted, asked.completes) == (link.name, wanted, completes):
+                is_same = (asked.link, asked.wanted, _timeless(asked.completes)) == (
+                    link.name, wanted, _timeless(completes),
+                )  # fmt: skip
+                if is_same and not fetch.is_over:
                     return fetch.asked.name
             if sum(not each.is_over for each in self._fetches.values()) >= MOST_FETCHES:
                 raise LinkError(FetchProblem.TOO_MANY(most=MOST_FETCHES))
@@ -438,7 +442,12 @@ def _completed(command: FetchRecording, link: Link, listed: ListedRecording) -> 
     ahead = link.clock.offset
     wanted = Wanted(listed.id, listed.stamp, tuple(each.there for each in topics), begin, end, heads=True)
     is_open = bool(command.live) and (command.begin, command.end) == (0, LATEST)
-    return AskedCompletion(tuple(topics), begin, end, is_open, ahead), wanted
+    return AskedCompletion(tuple(topics), begin, end, is_open, ahead, command.live), wanted
+
+
+def _timeless(completes: AskedCompletion | None) -> AskedCompletion | None:
+    """Return what is completed without what a link measures anew all the time."""
+    return completes and replace(completes, ahead=None)
 
 
 def _new_spool(folder: Path, asked: AskedFetch, parts: Sequence[LivePart]) -> Spool:
@@ -462,10 +471,15 @@ def _spool_folder(folder: Path, name: str) -> Path:
 
 def _spools(folder: Path, owner: str, stop: Callable[[], bool]) -> list[Spool]:
     found: list[Spool] = []
+    for each in folder.glob(f".*{GONE}"):  # of a bridge that was killed meanwhile
+        shutil.rmtree(each, ignore_errors=True)
     for each in sorted(folder.glob(f".*{SPOOL}")):
         asked = load_asked(each)
         if asked is not None and asked.owner == owner and not stop():
             spool = FetchSpool(each, asked) if asked.completes is None else CompletionSpool(each, asked)
+            if not spool.is_made:
+                spool.remove()
+                continue
             spool.rows[0].load(stop)
             found.append(spool)
     return found

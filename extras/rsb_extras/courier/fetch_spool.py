@@ -6,6 +6,7 @@ import errno
 import shutil
 import threading
 from abc import ABC, abstractmethod
+from contextlib import suppress
 from itertools import count, islice
 from typing import TYPE_CHECKING, TypeVar
 
@@ -39,8 +40,8 @@ if TYPE_CHECKING:
 
 _T = TypeVar("_T")
 
-SPOOL = ".fetch"
-"""The end of the name of a fetch's folder; it begins with a dot."""
+SPOOL, GONE = ".fetch", ".gone"
+"""The end of the name of a fetch's folder, and of one that is being removed; they begin with a dot."""
 _ASKED = "asked.json"
 _PIECE = ".piece"
 _LEFT_FREE = 1 << 30
@@ -196,8 +197,8 @@ class Spool(ABC):
         make_folder(self.folder.parent, 0o700)
         self.folder.mkdir(0o700)
         try:
+            replace_file(self.folder / _ASKED, msgspec.json.encode(self.asked))  # first: so it is known whose it is
             self._prepare()
-            replace_file(self.folder / _ASKED, msgspec.json.encode(self.asked))
         except BaseException:
             self.remove()
             raise
@@ -205,6 +206,11 @@ class Spool(ABC):
 
     def _prepare(self) -> None:  # noqa: B027 -- a plain fetch needs nothing
         """Put into the folder what has to be there beside the pieces; raises OSError."""
+
+    @property
+    def is_made(self) -> bool:
+        """Whether the folder has what has to be there: a bridge may have been killed before."""
+        return True
 
     @property
     @abstractmethod
@@ -259,7 +265,10 @@ class Spool(ABC):
 
     def remove(self) -> None:
         with self._working:
-            shutil.rmtree(self.folder, ignore_errors=True)
+            gone = self.folder
+            with suppress(OSError):
+                gone = self.folder.rename(self.folder.with_suffix(GONE))  # half of it would be taken up as a fetch
+            shutil.rmtree(gone, ignore_errors=True)
 
 
 class FetchSpool(Spool):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import shutil
+import time
 from contextlib import suppress
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -27,6 +28,7 @@ RING = "ring"
 _LOCK = ".lock"
 _MARGIN = 120 * 1_000_000_000
 """ns before and after the span that are looked at, too: a message may be late. A round figure."""
+_QUIET_FOR = 60.0  # s without a change, after which nothing is expected to write to a database. A round figure
 _MOST_FILES = 4096  # that are linked. A round figure: rings have 32 segments, and stretches about as many
 
 
@@ -127,16 +129,23 @@ def keep_parts(parts: Iterable[LivePart], folder: Path) -> None:
     folder.mkdir(0o700)
     for number, part in enumerate(parts, 1):
         target = folder / f"{number:04}{part.path.suffix if part.path.suffix in SUFFIXES else SUFFIXES[0]}"
-        if part.path.suffix != SUFFIXES[0] or _is_whole(part.path):
-            with suppress(OSError):  # another file system
-                os.link(part.path, target)
-                continue
-        check_room(folder, part.path.stat().st_size)
-        shutil.copyfile(part.path, target)
+        with suppress(FileNotFoundError):  # the ring let it go meanwhile: its messages are fetched
+            _keep(part.path, target)
 
 
-def _is_whole(path: Path) -> bool:
-    """Whether an MCAP file has its end, behind which nothing is written."""
+def _keep(path: Path, target: Path) -> None:
+    if _is_done(path):
+        with suppress(OSError):  # another file system
+            os.link(path, target)
+            return
+    check_room(target.parent, path.stat().st_size)
+    shutil.copyfile(path, target)
+
+
+def _is_done(path: Path) -> bool:
+    """Whether nothing writes to a file any more: an MCAP file has its end then. What a fetch has must not change."""
+    if path.suffix != SUFFIXES[0]:
+        return time.time() - path.stat().st_mtime > _QUIET_FOR
     with path.open("rb") as file:
         file.seek(0, os.SEEK_END)
         file.seek(max(0, file.tell() - len(MCAP_MAGIC)))

@@ -221,3 +221,46 @@ def test_without_a_common_message_the_link_tells_the_time(bridge: Bridge, bags: 
     _, result = completed(pc)
     assert result.clock.source is ClockSource.LINK
     assert abs(result.clock.offset) < SECOND, "both have one clock"
+
+
+def test_one_that_was_not_made_whole_goes_with_what_it_has(bridge: Bridge, bags: Path, fetched: Path) -> None:
+    """A bridge was killed while it kept what came live, another one while it removed a fetch."""
+    written = write_bag(bags / "drive.mcap", on_robot(100))
+    live(bags, (came(each) for each in written if each.number % 7 == 0))
+    with Relay(("127.0.0.1", bridge.port), rate=300_000) as relay:
+        bridge.through(relay)
+        pc, _ = two_sides(bridge, bags)
+        name = complete(pc)
+        pc.stop()
+        (fetched / f".{name}.fetch" / "live").rename(fetched / f".{name}.fetch" / "live.part")
+        (fetched / ".other.gone").mkdir()
+        pc = bridge.server()
+        eventually(lambda: not [*fetched.iterdir()], what="nothing is left")
+        assert not fetches(pc)
+
+
+def test_the_same_is_not_fetched_twice(bridge: Bridge, bags: Path) -> None:
+    """Though the link has measured the clocks anew; another recording of this side is another one."""
+    written = write_bag(bags / "drive.mcap", on_robot(100))
+    live(bags, (came(each) for each in written if each.number % 7 == 0))
+    here = bags.parent / "here"
+    here.mkdir()
+    for name in ("mine.mcap", "yours.mcap"):
+        write_bag(here / name, map(came, written[:10]))
+    with Relay(("127.0.0.1", bridge.port), rate=300_000) as relay:
+        bridge.through(relay)
+        pc, _ = two_sides(bridge, bags, own=RecordingFolders((str(here),)))
+        first = complete(pc)
+        eventually(lambda: pc.snapshot().links[0].clock_offset is not None, what="a measurement")
+        assert complete(pc) == first
+        assert len({first, complete(pc, live="mine"), complete(pc, live="yours")}) == 3
+
+
+def test_a_topic_without_a_message_in_the_span_is_recorded(bridge: Bridge, bags: Path) -> None:
+    scans = on_robot(10, ["/scan"])
+    once = on_robot(1, ["/once"], rate=1)
+    write_bag(bags / "drive.mcap", sorted([*scans, *once], key=lambda each: each.time))
+    live(bags, map(came, scans[::2]))
+    pc, _ = two_sides(bridge, bags)
+    _, result = completed(pc, begin=BEGAN + 5 * SECOND)
+    assert [each.gaps for each in result.topics if each.name == "/once"] == [()]

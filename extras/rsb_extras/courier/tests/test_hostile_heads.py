@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sqlite3
 from collections import Counter
 from random import Random
 from typing import TYPE_CHECKING
@@ -13,7 +15,8 @@ from rsb_extras.courier.completed_recording import AskedCompletion, CompletedNam
 from rsb_extras.courier.completion_spool import CompletionProblem, CompletionSpool
 from rsb_extras.courier.courier_records import LATEST, ListedRecording, Wanted
 from rsb_extras.courier.fetch_spool import AskedFetch
-from rsb_extras.courier.live_parts import LivePart
+from rsb_extras.courier.live_parts import LivePart, keep_parts
+from rsb_extras.courier.message_index import MessageIndex
 from rsb_extras.courier.picking import picked
 from rsb_extras.courier.pieces import Cutter, PieceError, encode_piece
 from rsb_extras.courier.tests.bags import BEGAN, channel, in_bag, write_bag
@@ -118,3 +121,57 @@ def test_contents_that_are_not_those_of_the_heads_are_left_out(tmp_path: Path) -
     assert scan.fetched == 0
     assert scan.missing >= len(there) - 50 - scan.only_live
     assert not any(bytes(each.content) == b"a lie" for each in in_bag(made.path))
+
+
+def test_an_index_that_fails_is_made_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    there = write_bag(tmp_path / "robot.mcap", hostile(Random(1), 100, ["/scan"]))
+    made = spool(tmp_path, there[:50], 0.0)
+    get_all(made, OpenRecording(tmp_path / "robot.mcap"))
+
+    def fails(_: MessageIndex) -> None:
+        raise sqlite3.OperationalError("disk I/O error")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(MessageIndex, "begin_fetched", fails)
+        with pytest.raises(OSError, match="disk I/O error"):
+            made.write(lambda: False)
+    assert made.write(lambda: False) >= len(there)
+
+
+def test_pieces_of_another_order_are_none_of_this_one(tmp_path: Path) -> None:
+    """A bridge of another version may find other messages missing."""
+    scan = channel("/scan")
+    there = [StoredMessage(scan, BEGAN + n, BEGAN + n, n + 1, memoryview(b"\0\1\0\0%d" % n)) for n in range(200)]
+    write_bag(tmp_path / "robot.mcap", there)
+    robot = OpenRecording(tmp_path / "robot.mcap")
+    before = spool(tmp_path, there[1::2], 0.0)
+    get_all(before, robot)
+    before.close()
+    (part,) = (before.folder / "live").iterdir()
+    part.unlink()
+    write_bag(part, there[3::4])
+    after = CompletionSpool(before.folder, before.asked)
+    after.rows[0].load(lambda: False)
+    get_all(after, robot)
+    assert after.write(lambda: False) == len(there)
+
+
+def test_what_the_ring_let_go_meanwhile_is_fetched(tmp_path: Path) -> None:
+    there = write_bag(tmp_path / "robot.mcap", hostile(Random(1), 100, ["/scan"]))
+    made = spool(tmp_path, [], None)
+    made.remove()
+    parts = [LivePart(tmp_path / "gone.mcap", 0, 0), LivePart(tmp_path / "live.mcap", 0, 0)]
+    made = CompletionSpool(made.folder, made.asked, parts).make()
+    get_all(made, OpenRecording(tmp_path / "robot.mcap"))
+    assert made.write(lambda: False) == len(there)
+
+
+@pytest.mark.parametrize("is_old", [False, True])
+def test_a_database_that_may_be_written_is_copied(tmp_path: Path, *, is_old: bool) -> None:
+    bag = tmp_path / "drive.db3"
+    bag.write_bytes(b"any")
+    if is_old:
+        os.utime(bag, (0, 0))
+    keep_parts([LivePart(bag, 0, 0)], tmp_path / "live")
+    assert bag.stat().st_nlink == 1 + is_old
+    assert (tmp_path / "live" / "0001.db3").read_bytes() == b"any"
