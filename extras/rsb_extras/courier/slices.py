@@ -17,6 +17,9 @@ SLICE_HEAD = struct.Struct("<IIII")
 """Of a slice: run, number of the piece, bytes of the piece before it, bytes of the piece."""
 _LEAST, _FIRST = 2 << 10, 4 << 10  # bytes
 _GROWS, _SHRINKS = 1.25, 0.7  # round figures
+_VARIES_OVER, _VARIES_MOST = 16, 0.035
+"""The smallest slices, of whose delays the mean counts for the line's own; s of it at most. A radio with 0.1 s of jitter
+is no full line: without this, a fetch beside topics stays at the smallest slices there. With more of it, topics wait."""
 _BASE_FOR = 60.0
 """s for which the fastest slice counts at least: a way may get longer."""
 
@@ -57,6 +60,7 @@ class Pace:
         self._heard = 0
         self._fastest = self._fastest_before = float("inf")
         self._since: float | None = None
+        self._varies = 0.0  # s that a small slice takes longer than the fastest: by others, and by a radio's moods
 
     @property
     def is_open(self) -> bool:
@@ -83,6 +87,9 @@ class Pace:
             self._since, self._fastest_before, self._fastest = now, self._fastest, float("inf")
         self._fastest = min(self._fastest, seconds)
         over = seconds - min(self._fastest, self._fastest_before)
+        if self.size == _LEAST:
+            self._varies += (over - self._varies) / _VARIES_OVER
+        over -= min(self._varies, _VARIES_MOST)
         if over < self._bounds.more_below:
             self.size = min(int(self.size * _GROWS), PIECE)
         elif over > self._bounds.less_above:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import deque
+from random import Random
 from typing import TYPE_CHECKING
 
 from rsb_extras.courier.slices import Pace
@@ -51,3 +53,21 @@ def test_topic_beside_a_fetch_hardly_waits(bags: Path) -> None:
     beside = topic_beside(1, 1_000, bags, fetches=True)
     assert beside.p99 < 0.06
     assert beside.fetched > 80_000
+
+
+def test_jitter_is_no_full_line() -> None:
+    """Behind 20 Mbit/s, 50 ms and up to 0.1 s of jitter, a fetch beside topics does not stay at the smallest slices."""
+    pace, random, come = Pace(), Random(1), deque[float]()
+    pace.has_others = True
+    now = line = last = 0.0
+    crossed = heard = 0
+    while now < 60.0:
+        while pace.is_open:
+            line = max(line, now) + pace.size / 2.5e6
+            last = max(line + 0.05 + random.uniform(0.0, 0.1), last)
+            pace.sent(now)
+            come.append(last)
+            crossed += pace.size
+        now, heard = come.popleft(), heard + 1
+        pace.heard(heard, now)
+    assert crossed / now > 200_000  # B/s
