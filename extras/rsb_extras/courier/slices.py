@@ -18,8 +18,8 @@ SLICE_HEAD = struct.Struct("<IIII")
 _LEAST, _FIRST = 2 << 10, 4 << 10  # bytes
 _GROWS, _SHRINKS = 1.25, 0.7  # round figures
 _VARIES_OVER, _VARIES_MOST = 16, 0.035
-"""The smallest slices, of whose delays the mean counts for the line's own; s of it at most. A radio with 0.1 s of jitter
-is no full line: without this, a fetch beside topics stays at the smallest slices there. With more of it, topics wait."""
+"""How many of the smallest slices have the mean delay that counts for the line's own, and how much (s) it is at most. A
+radio with 0.1 s of jitter is no full line; with more, topics beside a fetch would wait for as long."""
 _BASE_FOR = 60.0
 """s for which the fastest slice counts at least: a way may get longer."""
 
