@@ -261,6 +261,7 @@ class MessageIndex:
         )
         # Only those that have not come: of equal ones of one time, each would else be looked for behind all before it.
         execute("CREATE INDEX missing ON there (topic, time, key) WHERE live IS NULL AND came IS NULL")
+        execute("CREATE INDEX only_live ON live (topic, time) WHERE there IS NULL AND repeats IS NULL")
 
     def _find_offset(self, ahead: float | None) -> int:
         """Set the clock, and return how much faster than that a message may be (ns)."""
