@@ -109,7 +109,11 @@ def looked_while(talker: Talker, engine: Engine, topic: str, wish: Wish = WISH, 
             assert time.monotonic() < deadline
             talker()
             time.sleep(0.02)
-        viewed = future.result()
+        try:
+            viewed = future.result()
+        except EngineError:  # on a busy machine the link may be lost for a moment
+            assert time.monotonic() < deadline
+            viewed = None
         if viewed is not None and viewed.picture.content is not None:
             return viewed
         future = look_at(engine, about.get("viewer", "me"), (topic,), wish, about.get("link", ""))
