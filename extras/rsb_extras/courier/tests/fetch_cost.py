@@ -1,8 +1,9 @@
 """Prints what a fetch does to a topic beside it, and what cuts cost a fetch.
 
 ``python -m rsb_extras.courier.tests.fetch_cost beside`` plays a robot behind 1 Mbit/s on virtual time, with a topic of
-20 Hz, without a fetch and with one; ``… outages [MB]`` one behind 20 Mbit/s and 20 ms, whose fetch has 20 outages of
-3 s. ``… cuts [MB]`` has two engines of this machine get a recording through a relay of 20 Mbit/s, with 20 cuts.
+20 Hz, without a fetch and with one; ``… outages [MB] [LINE]`` one behind 20 Mbit/s and 20 ms, or behind the Wi-Fi or
+the tunnel of `bench.robot_links`, whose fetch has 20 outages of 3 s. ``… cuts [MB]`` has two engines of this machine
+get a recording through a relay of 20 Mbit/s, with 20 cuts.
 """
 
 from __future__ import annotations
@@ -44,6 +45,21 @@ if TYPE_CHECKING:
     from rsb_bridge.feature_api import Link
 
 _MBIT = 125_000.0  # bytes/s
+
+
+class Line(NamedTuple):
+    """What carries a fetch on virtual time: s of latency, bytes/s, and the part that is lost and sent again."""
+
+    latency: tuple[float, float]
+    bandwidth: float
+    loss: float = 0.0
+
+
+LINES = {
+    "line": Line((0.02, 0.021), 20 * _MBIT),
+    "wifi": Line((0.02, 0.035), 20 * _MBIT, 0.02),
+    "tunnel": Line((0.005, 0.0051), 5_000.0),
+}
 _SETTLED, _SECONDS = 60.0, 120.0
 _CUTS, _OUTAGE = 20, 3.0
 _DOMAINS = 66, 67
@@ -124,8 +140,8 @@ def beside(folder: Path) -> None:
                 print(f"20 Hz of {size:,} B, seed {seed}, {what}: {one.rate:.1f} Hz, {ages}", flush=True)
 
 
-def outages(folder: Path, megabytes: int) -> None:
-    """Play a robot behind 20 Mbit/s, of which another machine gets a recording."""
+def outages(folder: Path, megabytes: int, line: Line) -> None:
+    """Play a robot behind a line, of which another machine gets a recording."""
     _write(folder / "drive.mcap", megabytes)
     for count in (0, _CUTS):
         world = World(1, replace(STILL, patience=60.0, outlive=600.0))
@@ -134,8 +150,8 @@ def outages(folder: Path, megabytes: int) -> None:
         world.topic_flows.clear()
         session = robot.host.session
         robot.host.session = msgspec.structs.replace(session, topics=(), features=_robot_features(folder))
-        seconds, carried, taken = world_fetch(world, count)
-        limit = carried / (20 * _MBIT) + count * _OUTAGE
+        seconds, carried, taken = world_fetch(world, count, line)
+        limit = carried / line.bandwidth + count * _OUTAGE
         print(
             f"{taken:,} bytes of pieces with {count} outages of {_OUTAGE:g} s: {carried:,} on the line "
             f"({carried / taken - 1:.2%} more), {seconds:.1f} s; the line needs {limit:.1f} s",
@@ -143,7 +159,7 @@ def outages(folder: Path, megabytes: int) -> None:
         )
 
 
-def world_fetch(world: World, count: int) -> tuple[float, int, int]:
+def world_fetch(world: World, count: int, line: Line = LINES["line"]) -> tuple[float, int, int]:
     """Return the s of a fetch, and the bytes on the line and in its pieces."""
     (robot,) = world.robots
     found: list[tuple[float, int, int]] = []
@@ -155,7 +171,7 @@ def world_fetch(world: World, count: int) -> tuple[float, int, int]:
         await asyncio.sleep(20.0)
         path = world.network.path(robot.host.machine, world.server.machine)
         for each in world.network.both_ways(robot.host.machine, world.server.machine):
-            each.latency, each.bandwidth = (0.02, 0.021), 20 * _MBIT
+            each.latency, each.bandwidth, each.loss = line
         _, there = world.link_ends(robot) or (None, None)
         assert there is not None
         spool = await _spool(there)
@@ -267,6 +283,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m rsb_extras.courier.tests.fetch_cost", description=__doc__)
     parser.add_argument("what", choices=("beside", "outages", "cuts"))
     parser.add_argument("megabytes", nargs="?", type=int, default=200)
+    parser.add_argument("line", nargs="?", choices=LINES, default="line")
     arguments = parser.parse_args()
     os.environ.pop("STATE_DIRECTORY", None)
     with tempfile.TemporaryDirectory() as folder:
@@ -274,7 +291,7 @@ def main() -> None:
         if arguments.what == "beside":
             beside(Path(folder))
         elif arguments.what == "outages":
-            outages(Path(folder), arguments.megabytes)
+            outages(Path(folder), arguments.megabytes, LINES[arguments.line])
         else:
             cuts(Path(folder), arguments.megabytes)
 
