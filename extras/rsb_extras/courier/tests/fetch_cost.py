@@ -1,9 +1,9 @@
 """Prints what a fetch does to a topic beside it, and what cuts cost a fetch.
 
-``python -m rsb_extras.courier.tests.fetch_cost beside`` plays a robot behind 1 Mbit/s on virtual time, with a topic of
-20 Hz, without a fetch and with one; ``… outages [MB] [LINE]`` one behind 20 Mbit/s and 20 ms, or behind the Wi-Fi or
-the tunnel of `bench.robot_links`, whose fetch has 20 outages of 3 s. ``… cuts [MB]`` has two engines of this machine
-get a recording through a relay of 20 Mbit/s, with 20 cuts.
+``python -m rsb_extras.courier.tests.fetch_cost beside [MB] [LINE]`` plays a robot behind 1 Mbit/s on virtual time, with
+a topic of 20 Hz, without a fetch and with one; ``… outages [MB] [LINE]`` one behind 20 Mbit/s and 20 ms, whose fetch has
+20 outages of 3 s. Both play the Wi-Fi or the tunnel of `bench.robot_links`, too. ``… cuts [MB]`` has two engines of this
+machine get a recording through a relay of 20 Mbit/s, with 20 cuts.
 """
 
 from __future__ import annotations
@@ -85,8 +85,8 @@ class Beside(NamedTuple):
     fetched: float
 
 
-def topic_beside(seed: int, size: int, bags: Path, *, fetches: bool) -> Beside:
-    """Play a robot with a topic of 20 Hz behind 1 Mbit/s."""
+def topic_beside(seed: int, size: int, bags: Path, *, fetches: bool, line: Line | None = None) -> Beside:
+    """Play a robot with a topic of 20 Hz behind 1 Mbit/s, or a line."""
     world = World(seed, replace(STILL, patience=4.0))
     (robot,) = world.robots
     robot.topic_flows.clear()
@@ -100,6 +100,8 @@ def topic_beside(seed: int, size: int, bags: Path, *, fetches: bool) -> Beside:
     async def live() -> None:
         await asyncio.sleep(20.0)
         world.network.path(robot.host.machine, world.server.machine).bandwidth = _MBIT
+        for each in world.network.both_ways(robot.host.machine, world.server.machine) if line is not None else ():
+            each.latency, each.bandwidth, each.loss = line
         here, there = world.link_ends(robot) or (None, None)
         assert here is not None
         assert there is not None
@@ -129,12 +131,12 @@ async def _spool(link: Link) -> FetchSpool:
     return FetchSpool(folder, AskedFetch("beside", "", "", listed, wanted)).make()
 
 
-def beside(folder: Path) -> None:
-    _write(folder / "drive.mcap", 50)
-    for size in (1_000, 4_000):
+def beside(folder: Path, megabytes: int, line: Line | None) -> None:
+    _write(folder / "drive.mcap", megabytes)
+    for size in (60,) if line is LINES["tunnel"] else (1_000, 4_000):
         for fetches in (False, True):
             for seed in (1, 2, 3):
-                one = topic_beside(seed, size, folder, fetches=fetches)
+                one = topic_beside(seed, size, folder, fetches=fetches, line=line)
                 what = f"beside a fetch of {one.fetched / 1000:.0f} kB/s" if fetches else "alone"
                 ages = f"p50 {one.p50 * 1000:.0f} ms, p99 {one.p99 * 1000:.0f} ms"
                 print(f"20 Hz of {size:,} B, seed {seed}, {what}: {one.rate:.1f} Hz, {ages}", flush=True)
@@ -283,15 +285,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m rsb_extras.courier.tests.fetch_cost", description=__doc__)
     parser.add_argument("what", choices=("beside", "outages", "cuts"))
     parser.add_argument("megabytes", nargs="?", type=int, default=200)
-    parser.add_argument("line", nargs="?", choices=LINES, default="line")
+    parser.add_argument("line", nargs="?", choices=LINES)
     arguments = parser.parse_args()
     os.environ.pop("STATE_DIRECTORY", None)
     with tempfile.TemporaryDirectory() as folder:
         os.environ["XDG_STATE_HOME"] = folder
         if arguments.what == "beside":
-            beside(Path(folder))
+            beside(Path(folder), arguments.megabytes, LINES.get(arguments.line))
         elif arguments.what == "outages":
-            outages(Path(folder), arguments.megabytes, LINES[arguments.line])
+            outages(Path(folder), arguments.megabytes, LINES[arguments.line or "line"])
         else:
             cuts(Path(folder), arguments.megabytes)
 
