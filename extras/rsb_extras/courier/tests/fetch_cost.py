@@ -1,9 +1,9 @@
 """Prints what a fetch does to a topic beside it, and what cuts cost a fetch.
 
-``python -m rsb_extras.courier.tests.fetch_cost beside [MB] [LINE]`` plays a robot behind 1 Mbit/s on virtual time, with
-a topic of 20 Hz, without a fetch and with one; ``… outages [MB] [LINE]`` one behind 20 Mbit/s and 20 ms, whose fetch has
-20 outages of 3 s. Both play the Wi-Fi or the tunnel of `bench.robot_links`, too. ``… cuts [MB]`` has two engines of this
-machine get a recording through a relay of 20 Mbit/s, with 20 cuts.
+``python -m rsb_extras.courier.tests.fetch_cost beside [MB] [LINE]`` plays a robot behind 1 Mbit/s on virtual time,
+with a topic of 20 Hz, without a fetch and with one; ``… outages [MB] [LINE]`` one behind 20 Mbit/s and 20 ms, whose
+fetch has 20 outages of 3 s. Both play the Wi-Fi or the tunnel of `bench.robot_links`, too. ``… cuts [MB]`` has two
+engines of this machine get a recording through a relay of 20 Mbit/s, with 20 cuts.
 """
 
 from __future__ import annotations
@@ -99,9 +99,12 @@ def topic_beside(seed: int, size: int, bags: Path, *, fetches: bool, line: Line 
 
     async def live() -> None:
         await asyncio.sleep(20.0)
-        world.network.path(robot.host.machine, world.server.machine).bandwidth = _MBIT
-        for each in world.network.both_ways(robot.host.machine, world.server.machine) if line is not None else ():
-            each.latency, each.bandwidth, each.loss = line
+        machines = robot.host.machine, world.server.machine
+        if line is None:
+            world.network.path(*machines).bandwidth = _MBIT
+        else:
+            for each in world.network.both_ways(*machines):
+                each.latency, each.bandwidth, each.loss = line
         here, there = world.link_ends(robot) or (None, None)
         assert here is not None
         assert there is not None
