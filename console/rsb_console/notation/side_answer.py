@@ -10,6 +10,7 @@ from rsb_bridge.model.wording import Wording
 
 class SideText(Wording):
     PROBLEM = "{side}: {problem}"
+    OLD = "as of {age} ago: no answer since"
     NO_RIGHT = "no right"
     """In a list, in place of what may be asked for. `lacks` says the rest."""
     LACKS = "{side} does not let this side {act}: add {entry} in the session file there"

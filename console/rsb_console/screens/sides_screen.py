@@ -34,7 +34,6 @@ _MOST_LINKS = 8
 class SidesText(Wording):
     ASKING = "asking both sides"
     NO_SESSION = "no session runs"
-    OLD = "as of {age} ago: no answer since"
 
 
 class SidesScreen(ModalScreen[None], Generic[S]):
@@ -76,7 +75,7 @@ class SidesScreen(ModalScreen[None], Generic[S]):
         if self._fetching.is_finished:
             self._fetching = self._fetch()
         elif self._answered_at and (age := time.monotonic() - self._answered_at) >= self.EVERY + _AGED:
-            self._show_texts([(SidesText.OLD(age=duration(age)), "waiting"), *self._problems])
+            self._show_texts([(SideText.OLD(age=duration(age)), "waiting"), *self._problems])
 
     @work(group="sides")
     async def _fetch(self) -> None:

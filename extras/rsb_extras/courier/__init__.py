@@ -38,7 +38,7 @@ MAY_FETCH: PeerRight[bool] = PeerRight("recordings", bool, False)
 
 class Courier(Feature):
     name = "courier"
-    needs = ("recording",)
+    needs = ("history", "recording")
 
     def session_keys(self) -> Iterable[SessionKey[Any]]:
         return (RECORDINGS_KEY,)

@@ -8,14 +8,12 @@ from typing import TYPE_CHECKING
 from rsb_bridge.feature_api import Wording
 from rsb_console.notation.formats import byte_count
 from rsb_extras.courier.completed_recording import ClockSource, MissingReason
+from rsb_extras.courier.courier_records import has_date
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from rsb_extras.courier.completed_recording import CompletedClock, CompletedRecording, CompletedTopic, MissingSpan
-
-_LAST_DATE = 4_000_000_000_000_000_000
-"""ns since the epoch, 2096: what comes later has no date on every machine."""
 
 
 class CompletedText(Wording):
@@ -74,5 +72,5 @@ def _of_gap(gap: MissingSpan) -> str:
 
 
 def _date(time: int) -> str:
-    moment = datetime.fromtimestamp(time / 1e9) if 0 < time < _LAST_DATE else None
+    moment = datetime.fromtimestamp(time / 1e9) if has_date(time) else None
     return "any time" if moment is None else moment.strftime("%Y-%m-%dT%H:%M:%S.%f")[:-3]

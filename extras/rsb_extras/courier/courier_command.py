@@ -31,7 +31,7 @@ from rsb_console.feature_console import (
 )
 from rsb_console.notation.formats import byte_count
 from rsb_extras.courier.completed_text import completed_lines
-from rsb_extras.courier.courier_records import LATEST
+from rsb_extras.courier.courier_records import LATEST, called, has_date
 from rsb_extras.courier.courier_requests import (
     LISTED_WITHIN,
     CancelFetch,
@@ -152,14 +152,10 @@ def newest_first(group: RecordingGroup) -> list[ListedRecording]:
 
 def texts_of(listed: ListedRecording) -> tuple[str, str, str, str, str]:
     """Return the begin, span, size, cause and number of topics of a recording, in words."""
-    begin = datetime.fromtimestamp(listed.begin / 1e9).strftime(_TIME) if has_date(listed) else NOTHING
+    begin = datetime.fromtimestamp(listed.begin / 1e9).strftime(_TIME) if has_date(listed.begin) else NOTHING
     span = duration((listed.end - listed.begin) / 1e9) if listed.end > listed.begin else NOTHING
     topics = len(listed.topics) + listed.more_topics
     return begin, span, byte_count(listed.size), listed.cause or NOTHING, f"{topics}" if topics else NOTHING
-
-
-def has_date(listed: ListedRecording) -> bool:
-    return 0 < listed.begin < 4_000_000_000_000_000_000  # 2096; what comes later has no date on every machine
 
 
 def fetch_text(fetch: FetchReport) -> str:
@@ -168,12 +164,16 @@ def fetch_text(fetch: FetchReport) -> str:
         return done_text(fetch, CourierCommandText.DONE)
     if fetch.state is FetchState.FAILED:
         return fetch.reason
-    parts = [CourierCommandText.PROGRESS(share=fetch.share, size=byte_count(fetch.taken))]
+    progress = CourierCommandText.PROGRESS(share=fetch.share, size=byte_count(fetch.taken))
+    return ", ".join([progress, *pace_texts(fetch), fetch.reason or fetch.state])
+
+
+def pace_texts(fetch: FetchReport) -> Iterator[str]:
+    """Yield a fetch's rate and the time that is left, as far as they are known."""
     if fetch.rate:
-        parts.append(CourierCommandText.RATE(rate=byte_count(round(fetch.rate))))
+        yield CourierCommandText.RATE(rate=byte_count(round(fetch.rate)))
     if fetch.rest is not None:
-        parts.append(CourierCommandText.REST(rest=duration(fetch.rest)))
-    return ", ".join([*parts, fetch.reason or fetch.state])
+        yield CourierCommandText.REST(rest=duration(fetch.rest))
 
 
 def done_text(fetch: FetchReport, wording: CourierCommandText) -> str:
@@ -210,8 +210,7 @@ def _get(arguments: Namespace) -> int:
 def _listed(engine: RemoteEngine, link: str, name: str) -> ListedRecording:
     """Return the recording whose begin and end times are meant by seconds, if there is one by that name."""
     groups = engine.do(ListRecordings(link)).result(LISTED_WITHIN)
-    found = [each for group in groups for each in group.recordings if name in (each.id, each.name)]
-    found = found or [each for group in groups for each in group.recordings if each.name.startswith(name)]
+    found = called(name, (each for group in groups for each in group.recordings))
     if groups and groups[0].problem:
         raise EngineError(groups[0].problem)
     if len(found) != 1 or not found[0].begin:

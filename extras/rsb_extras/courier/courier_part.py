@@ -30,7 +30,7 @@ from rsb_bridge.feature_api import (
 from rsb_extras.courier import RECORDINGS_KEY
 from rsb_extras.courier.completed_recording import AskedCompletion, CompletedName
 from rsb_extras.courier.completion_spool import CompletionSpool
-from rsb_extras.courier.courier_records import LATEST, ListedRecording, Wanted
+from rsb_extras.courier.courier_records import LATEST, ListedRecording, Wanted, called
 from rsb_extras.courier.courier_requests import (
     LISTED_WITHIN,
     CancelFetch,
@@ -399,9 +399,7 @@ class CourierPart(EnginePart):
 
 def _chosen(command: FetchRecording, listed: tuple[ListedRecording, ...]) -> ListedRecording:
     name = command.recording.rstrip("/")
-    found = [each for each in listed if each.id == name] or [each for each in listed if each.name == name]
-    if not found:
-        found = [each for each in listed if each.name.startswith(name)] if name else []
+    found = called(name, listed)
     if len(found) > 1:
         ids = ", ".join(each.id for each in found)
         raise LinkError(FetchProblem.SEVERAL(link=command.link, name=name, ids=ids))

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Annotated, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Protocol, TypeAlias, TypeVar
 
 import msgspec
 from msgspec import Meta
 
 from rsb_bridge.feature_api import Count, Name, Reason
 from rsb_bridge.wire.records import Nanoseconds
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
 
 MOST_TOPICS = 256
 """Of a recording that is listed or got at once. A round figure: a large robot has some 200."""
@@ -19,6 +22,8 @@ MOST_RECORDINGS = 512
 PAGE = 16
 """The most recordings of an answer."""
 LATEST = (1 << 63) - 1
+_LAST_DATE = 4_000_000_000_000_000_000
+"""ns since the epoch, 2096: what comes later has no date on every machine."""
 
 RecordingId: TypeAlias = Annotated[str, Meta(max_length=16, pattern=r"\A[0-9a-f]{16}\Z")]
 """Made by the side that has the recording, of its folder and its name: what a peer names never becomes a path."""
@@ -105,3 +110,29 @@ class Wanted(msgspec.Struct, frozen=True, omit_defaults=True):
     end: Nanoseconds = LATEST
     heads: bool = False
     spans: Annotated[tuple[WantedSpan, ...], Meta(max_length=MOST_SPANS)] = ()
+
+
+def has_date(time: int) -> bool:
+    """Whether a time (ns since the epoch) may be shown as a date: 0 is an unknown one."""
+    return 0 < time < _LAST_DATE
+
+
+class _Named(Protocol):
+    @property
+    def id(self) -> str: ...
+
+    @property
+    def name(self) -> str: ...
+
+
+NamedT = TypeVar("NamedT", bound=_Named)
+
+
+def called(name: str, recordings: Iterable[NamedT]) -> list[NamedT]:
+    """Return those that an operator may mean: of this id, else of this name, else whose names begin with it."""
+    known = [*recordings]
+    return (
+        [each for each in known if each.id == name]
+        or [each for each in known if each.name == name]
+        or [each for each in known if name and each.name.startswith(name)]
+    )

@@ -81,6 +81,11 @@ class Kept(NamedTuple):
     stamp: str
 
     @property
+    def name(self) -> str:
+        """Of the file or the folder."""
+        return self.path.name
+
+    @property
     def size(self) -> int:
         return sum(mark.size for mark in self.marks)
 

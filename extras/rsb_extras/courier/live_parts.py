@@ -10,7 +10,10 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.feature_api import LinkError, Wording, file_stem
+from rsb_extras.courier.courier_records import called
 from rsb_extras.courier.fetch_spool import check_room
+from rsb_extras.history.bridge_files import claimed_roles
+from rsb_extras.recording.keep_last import RING
 from rsb_extras.recording.reading.mcap_records import MCAP_MAGIC
 from rsb_extras.recording.reading.open_recording import OpenRecording
 from rsb_extras.recording.reading.recording_files import SUFFIXES, files_of
@@ -23,9 +26,6 @@ if TYPE_CHECKING:
     from rsb_bridge.feature_api import Session
     from rsb_extras.courier.kept_recordings import Kept
 
-RING = "ring"
-"""The folder of the rings on disk in the bridge's state folder (`rsb_extras.disk_ring`)."""
-_LOCK = ".lock"
 _MARGIN = 120 * 1_000_000_000
 """ns before and after the span that are looked at, too: a message may be late. A round figure."""
 _QUIET_FOR = 60.0  # s without a change, after which nothing is expected to write to a database. A round figure
@@ -58,9 +58,8 @@ class LivePart(NamedTuple):
 def own_files(state: Path, session: Session, recordings: Iterable[Kept]) -> Iterator[Path]:
     """Yield the files of this bridge's ring, and of what it has recorded (`P`, `record`, stretches)."""
     stem = file_stem(session.name)
-    roles = {lock.name.removesuffix(_LOCK): _role(lock) for lock in (state / RING).glob(f"{stem}*{_LOCK}")}
-    numbered = re.compile(rf"{re.escape(stem)}(-[2-9])?")
-    own = {name for name, role in roles.items() if role == session.role and numbered.fullmatch(name)}
+    roles = claimed_roles(state / RING, session.name)
+    own = {name for name, role in roles.items() if role == session.role}
     for name in sorted(own):
         yield from sorted((state / RING / name).glob("*.mcap"))
     if roles.get(stem, session.role) == session.role:  # with no ring, there are files of `P` and `record`
@@ -70,12 +69,6 @@ def own_files(state: Path, session: Session, recordings: Iterable[Kept]) -> Iter
         if own and dated.fullmatch(kept.path.name):
             with suppress(RecordingError):
                 yield from files_of(kept.path)
-
-
-def _role(lock: Path) -> str:
-    with suppress(OSError):
-        return lock.read_text(errors="replace").strip()
-    return ""
 
 
 def overlapping(files: Iterable[Path], topics: Iterable[str], begin: int, end: int) -> list[LivePart]:
@@ -106,9 +99,7 @@ def overlapping(files: Iterable[Path], topics: Iterable[str], begin: int, end: i
 
 def named(recordings: Iterable[Kept], name: str) -> list[LivePart]:
     """Return the files of a recording of this side by its name, its id or the begin of its name; raises LinkError."""
-    known = [*recordings]
-    found = [each for each in known if each.id == name] or [each for each in known if each.path.name == name]
-    found = found or [each for each in known if each.path.name.startswith(name)]
+    found = called(name, recordings)
     if not found:
         raise LinkError(LivePartText.UNKNOWN(name=name))
     if len(found) > 1:

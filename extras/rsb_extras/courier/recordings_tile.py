@@ -10,7 +10,8 @@ from rsb_bridge.feature_api import EngineError, Wording
 from rsb_bridge.model.verdict import duration
 from rsb_console.feature_console import TileLines, side_of
 from rsb_console.notation.formats import byte_count
-from rsb_extras.courier.courier_command import NOTHING, CourierCommandText, has_date
+from rsb_extras.courier.courier_command import NOTHING, pace_texts
+from rsb_extras.courier.courier_records import has_date
 from rsb_extras.courier.courier_requests import FetchState, ListFetches, NewestRecordings
 from rsb_extras.courier.courier_screen import FETCH_LOOKS
 
@@ -103,13 +104,10 @@ def _fetch_lines(fetches: Sequence[FetchReport]) -> Iterator[Line]:
 
 def _progress(fetch: FetchReport) -> Iterator[str]:
     yield f"{fetch.share:.0%}"
-    if fetch.state is not FetchState.FETCHING:
+    if fetch.state is FetchState.FETCHING:
+        yield from pace_texts(fetch)
+    else:
         yield fetch.reason or fetch.state
-        return
-    if fetch.rate:
-        yield CourierCommandText.RATE(rate=byte_count(round(fetch.rate)))
-    if fetch.rest is not None:
-        yield CourierCommandText.REST(rest=duration(fetch.rest))
 
 
 def _kept_lines(group: RecordingGroup, side: str) -> Iterator[Line]:
@@ -131,4 +129,4 @@ def _own_lines(recordings: Sequence[ListedRecording]) -> Iterator[Line]:
 
 
 def _begin(listed: ListedRecording) -> str:
-    return datetime.fromtimestamp(listed.begin / 1e9).strftime(_TIME) if has_date(listed) else f"{NOTHING:11}"
+    return datetime.fromtimestamp(listed.begin / 1e9).strftime(_TIME) if has_date(listed.begin) else f"{NOTHING:11}"

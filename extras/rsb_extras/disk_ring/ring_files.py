@@ -15,7 +15,7 @@ from rsb_extras.disk_ring.ring_rules import LONGEST_STRETCH
 from rsb_extras.disk_ring.segments import SUFFIX, OpenSegment, Segment, complete, is_whole
 from rsb_extras.disk_ring.stretches import FullError, StretchFolder
 from rsb_extras.history.bridge_files import Claim
-from rsb_extras.recording.keep_last import RECORDINGS
+from rsb_extras.recording.keep_last import RECORDINGS, RING
 from rsb_extras.recording.mcap_file import RecordedTopic
 
 if TYPE_CHECKING:
@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from rsb_extras.recording.message_ring import RingMessage
 
 GB = 1_000_000_000
-RING = "ring"
-"""The name of the rings' folder, in the bridge's state folder."""
 _NUMBER = re.compile(r"\d{8,}" + re.escape(SUFFIX))
 _SEGMENTS = 32
 """Parts of the ring: so much of it goes at once. A round figure."""

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.feature_api import Level, LinkError, why_not_written
 from rsb_extras.disk_ring.ring_codes import RingCode, RingProblem, RingText
-from rsb_extras.disk_ring.ring_files import RING, RingFiles, undescribed
+from rsb_extras.disk_ring.ring_files import RingFiles, undescribed
+from rsb_extras.recording.keep_last import RING
 from rsb_extras.recording.latched_messages import LatchedMessages
 from rsb_extras.recording.message_ring import RingMessage
 

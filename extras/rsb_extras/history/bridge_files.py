@@ -61,8 +61,7 @@ class Claim:
 
     def __init__(self, folder: Path, name: str, role: str) -> None:
         make_folder(folder, 0o700)
-        for number in range(1, _BRIDGES_OF_A_NAME + 1):
-            stem = file_stem(name, number)
+        for stem in _stems(name):
             # A file of its own: the others are replaced by renames, and a lock would stay with the old one.
             lock = owner_only(str(folder / f"{stem}{_LOCK}"), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC)
             try:
@@ -96,10 +95,26 @@ def _take(lock: int, role: str) -> bool:
     return owner in ("", role)
 
 
+def claimed_roles(folder: Path, name: str) -> dict[str, str]:
+    """Return the stems that bridges of a session's name have claimed in a folder, with their roles as far as known."""
+    roles = {}
+    for stem in _stems(name):
+        try:
+            roles[stem] = (folder / f"{stem}{_LOCK}").read_text(errors="replace").strip()
+        except FileNotFoundError:
+            continue
+        except OSError:
+            roles[stem] = ""
+    return roles
+
+
+def _stems(name: str) -> list[str]:
+    return [file_stem(name, number) for number in range(1, _BRIDGES_OF_A_NAME + 1)]
+
+
 def files_of(name: str, environ: Mapping[str, str]) -> list[Files]:
     """Return the places where bridges of a session's name have kept files that this user may read."""
-    stems = [file_stem(name, number) for number in range(1, _BRIDGES_OF_A_NAME + 1)]
-    return [Files(folder, stem) for folder in searched_folders(environ) for stem in stems]
+    return [Files(folder, stem) for folder in searched_folders(environ) for stem in _stems(name)]
 
 
 def kept_bridges(environ: Mapping[str, str]) -> list[Files]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.feature_api import State, plural
 from rsb_bridge.model.verdict import duration
-from rsb_console.feature_console import STATE_SIGN
+from rsb_console.feature_console import STATE_SIGN, SideText
 from rsb_console.notation import formats
 from rsb_extras.nodes.node_data import FoundBy
 
@@ -116,7 +116,7 @@ def counts(nodes: Iterable[NodeState], now: float) -> str:
 
 def as_of(age: float) -> str:
     """Say how old nodes are, or an empty string while their side tells of them all the time."""
-    return f"as of {duration(age)} ago: no answer since" if age >= _AGED else ""
+    return SideText.OLD(age=duration(age)) if age >= _AGED else ""
 
 
 def read(age: float) -> str:

@@ -12,6 +12,8 @@ from rsb_bridge.feature_api import TEXT_LENGTH, Command, Count, Effect, Name, Se
 TOPICS_NAMED = 10
 RECORDINGS = "recordings"
 """The name of their folder, in the bridge's state folder."""
+RING = "ring"
+"""The name of the folder of rings on disk, in the bridge's state folder."""
 FETCHED = "fetched"
 """The name of the folder in it, with those that came from the other side of a link."""
 LARGEST = 512 << 20

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from tests.support.bridge import linked
+from tests.support.relay import Relay
 from tests.support.waiting import eventually
 
 from rsb_bridge.feature import MAY
@@ -22,6 +24,7 @@ from rsb_extras.courier.courier_requests import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
     from tests.support.bridge import Bridge
@@ -42,6 +45,14 @@ def two_sides(
     pc = bridge.server(features={RECORDINGS_KEY.name: own} if own is not None else {})
     eventually(lambda: linked(pc) and linked(robot), what="linked")
     return pc, robot
+
+
+@contextmanager
+def slow_link(bridge: Bridge, rate: float) -> Iterator[Relay]:
+    """Have bridges that are made within it be linked by a relay of so many bytes/s."""
+    with Relay(("127.0.0.1", bridge.port), rate=rate) as relay:
+        bridge.through(relay)
+        yield relay
 
 
 def listed(engine: Engine, link: str = "robot1") -> dict[str, ListedRecording]:

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 import msgspec
 import pytest
 from mcap.reader import make_reader
-from tests.support.relay import Relay
 from tests.support.waiting import eventually
 
 from rsb_bridge.api import EngineError
@@ -19,7 +18,7 @@ from rsb_extras.courier.completed_recording import ClockSource, CompletedRecordi
 from rsb_extras.courier.courier_records import LATEST
 from rsb_extras.courier.courier_requests import CancelFetch, FetchRecording, FetchState
 from rsb_extras.courier.tests.bags import BEGAN, SECOND, channel, in_bag, write_bag
-from rsb_extras.courier.tests.courier_bed import done, fetches, report, two_sides
+from rsb_extras.courier.tests.courier_bed import done, fetches, report, slow_link, two_sides
 from rsb_extras.recording.reading.stored_message import StoredMessage
 
 if TYPE_CHECKING:
@@ -61,6 +60,13 @@ def live(bags: Path, content: Iterable[StoredMessage], name: str = "robot1-20260
     folder = bags.parent / "state" / "rsb-console" / "recordings"
     folder.mkdir(parents=True, exist_ok=True)
     write_bag(folder / name, sorted(content, key=lambda each: each.time))
+
+
+def mostly_missing(bags: Path) -> list[StoredMessage]:
+    """Return 100 s of messages that the robot has recorded, of which this side has each seventh."""
+    written = write_bag(bags / "drive.mcap", on_robot(100))
+    live(bags, (came(each) for each in written if each.number % 7 == 0))
+    return written
 
 
 def complete(engine: Engine, *topics: str, begin: int = 0, end: int = LATEST, live: str = "") -> str:
@@ -174,10 +180,8 @@ def test_a_recording_that_is_named_is_completed_whole(bridge: Bridge, bags: Path
 
 def test_it_goes_on_over_cuts_and_restarts(bridge: Bridge, bags: Path) -> None:
     """What came live stays for it, whatever becomes of the ring meanwhile."""
-    written = write_bag(bags / "drive.mcap", on_robot(100))
-    live(bags, (came(each) for each in written if each.number % 7 == 0))
-    with Relay(("127.0.0.1", bridge.port), rate=300_000) as relay:
-        bridge.through(relay)
+    written = mostly_missing(bags)
+    with slow_link(bridge, 300_000) as relay:
         pc, robot = two_sides(bridge, bags)
         name = complete(pc)
         (bags.parent / "state" / "rsb-console" / "recordings" / "robot1-20260730-101500.mcap").unlink()
@@ -202,10 +206,8 @@ def _goes_on(engine: Engine, name: str) -> None:
 
 
 def test_nothing_stays_of_one_that_is_given_up(bridge: Bridge, bags: Path, fetched: Path) -> None:
-    written = write_bag(bags / "drive.mcap", on_robot(100))
-    live(bags, (came(each) for each in written if each.number % 7 == 0))
-    with Relay(("127.0.0.1", bridge.port), rate=300_000) as relay:
-        bridge.through(relay)
+    mostly_missing(bags)
+    with slow_link(bridge, 300_000):
         pc, _ = two_sides(bridge, bags)
         name = complete(pc)
         eventually(lambda: report(pc, name).share > 0.2, what="messages come")
@@ -225,10 +227,8 @@ def test_without_a_common_message_the_link_tells_the_time(bridge: Bridge, bags: 
 
 def test_one_that_was_not_made_whole_goes_with_what_it_has(bridge: Bridge, bags: Path, fetched: Path) -> None:
     """A bridge was killed while it kept what came live, another one while it removed a fetch."""
-    written = write_bag(bags / "drive.mcap", on_robot(100))
-    live(bags, (came(each) for each in written if each.number % 7 == 0))
-    with Relay(("127.0.0.1", bridge.port), rate=300_000) as relay:
-        bridge.through(relay)
+    mostly_missing(bags)
+    with slow_link(bridge, 300_000):
         pc, _ = two_sides(bridge, bags)
         name = complete(pc)
         pc.stop()
@@ -241,14 +241,12 @@ def test_one_that_was_not_made_whole_goes_with_what_it_has(bridge: Bridge, bags:
 
 def test_the_same_is_not_fetched_twice(bridge: Bridge, bags: Path) -> None:
     """Though the link has measured the clocks anew; another recording of this side is another one."""
-    written = write_bag(bags / "drive.mcap", on_robot(100))
-    live(bags, (came(each) for each in written if each.number % 7 == 0))
+    written = mostly_missing(bags)
     here = bags.parent / "here"
     here.mkdir()
     for name in ("mine.mcap", "yours.mcap"):
         write_bag(here / name, map(came, written[:10]))
-    with Relay(("127.0.0.1", bridge.port), rate=300_000) as relay:
-        bridge.through(relay)
+    with slow_link(bridge, 300_000):
         pc, _ = two_sides(bridge, bags, own=RecordingFolders((str(here),)))
         first = complete(pc)
         eventually(lambda: pc.snapshot().links[0].clock_offset is not None, what="a measurement")

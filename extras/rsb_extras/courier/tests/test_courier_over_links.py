@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 import pytest
 from tests.support.bridge import happened, linked
-from tests.support.relay import Relay
 from tests.support.waiting import eventually
 from tests.support.wording import says
 
@@ -25,7 +24,17 @@ from rsb_extras.courier.courier_requests import (
 from rsb_extras.courier.kept_recordings import FetchError, KeptProblem
 from rsb_extras.courier.link_courier import CourierCode
 from rsb_extras.courier.tests.bags import BEGAN, SECOND, in_bag, messages, write_bag
-from rsb_extras.courier.tests.courier_bed import done, fetch, fetches, listed, newest, report, robot_features, two_sides
+from rsb_extras.courier.tests.courier_bed import (
+    done,
+    fetch,
+    fetches,
+    listed,
+    newest,
+    report,
+    robot_features,
+    slow_link,
+    two_sides,
+)
 from rsb_extras.courier.tests.courier_places import CUTTER, LISTED_WITHIN, QUICK
 
 if TYPE_CHECKING:
@@ -158,8 +167,7 @@ def test_topics_that_it_may_not_read_are_left_out(bridge: Bridge, bags: Path, fe
 
 def test_a_recording_that_changes_ends_the_fetch(bridge: Bridge, bags: Path, fetched: Path) -> None:
     write_bag(bags / "drive.mcap", messages(20, 5000))
-    with Relay(("127.0.0.1", bridge.port), rate=500_000) as relay:
-        bridge.through(relay)
+    with slow_link(bridge, 500_000):
         pc, _ = two_sides(bridge, bags)
         name = fetch(pc, "drive.mcap")
         eventually(lambda: report(pc, name).taken > 0, what="a piece has come")
@@ -172,8 +180,7 @@ def test_a_recording_that_changes_ends_the_fetch(bridge: Bridge, bags: Path, fet
 
 def test_a_fetch_outlives_cuts_and_restarts_of_each_side(bridge: Bridge, bags: Path, fetched: Path) -> None:
     written = write_bag(bags / "drive.mcap", messages(240, 5000))
-    with Relay(("127.0.0.1", bridge.port), rate=600_000) as relay:
-        bridge.through(relay)
+    with slow_link(bridge, 600_000) as relay:
         pc, robot = two_sides(bridge, bags)
         name = fetch(pc, "drive.mcap")
 
@@ -225,8 +232,7 @@ def test_where_a_recording_is_stays_untold(bridge: Bridge, bags: Path) -> None:
 
 def test_a_fetch_is_given_up(bridge: Bridge, bags: Path, fetched: Path) -> None:
     write_bag(bags / "drive.mcap", messages(20, 5000))
-    with Relay(("127.0.0.1", bridge.port), rate=500_000) as relay:
-        bridge.through(relay)
+    with slow_link(bridge, 500_000):
         pc, _ = two_sides(bridge, bags)
         name = fetch(pc, "drive.mcap")
         eventually(lambda: report(pc, name).taken > 0, what="a piece has come")

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import pytest
 from tests.support.bridge import happened
-from tests.support.relay import Relay
 from tests.support.waiting import eventually
 
 from rsb_extras.courier import RecordingFolders
@@ -16,7 +15,7 @@ from rsb_extras.courier.courier_requests import FetchState
 from rsb_extras.courier.fetched_folder import FolderFullError, make_room
 from rsb_extras.courier.link_courier import CourierCode
 from rsb_extras.courier.tests.bags import messages, write_bag
-from rsb_extras.courier.tests.courier_bed import done, fetch, report, two_sides
+from rsb_extras.courier.tests.courier_bed import done, fetch, report, slow_link, two_sides
 from rsb_extras.courier.tests.courier_places import BOUNDED_EACH, DISK_AGAIN_AFTER
 
 if TYPE_CHECKING:
@@ -94,8 +93,7 @@ def test_a_fetch_beyond_the_bound_waits_for_room(
     DISK_AGAIN_AFTER.set(monkeypatch, 0.5)
     write_bag(bags / "drive.mcap", messages(40, size=4000))  # 7 MB
     kept = [put(fetched / f"kept{at}.mcap", 0, 0o400) for at in range(2)]
-    with Relay(("127.0.0.1", bridge.port), rate=1_000_000) as relay:  # so slow that it is looked at meanwhile
-        bridge.through(relay)
+    with slow_link(bridge, 1_000_000):  # so slow that it is looked at meanwhile
         pc, _ = two_sides(bridge, bags, own=SMALL)
         name = fetch(pc, "drive.mcap")
         eventually(lambda: "you have kept there, has" in report(pc, name).reason, what="it says so")
