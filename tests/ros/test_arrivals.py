@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import subprocess
 import sys
@@ -285,63 +284,13 @@ def test_descriptors_are_closed() -> None:
     participant.leave()
 
 
-_FLOOD = """
-import sys, time
-from tests.support.participants import KnownNode
-from rsb_bridge.model.qos import Qos
-from rsb_bridge.ros.ros_interface import TopicSpec
-node = KnownNode(int(sys.argv[1]), "flood")
-node.start()
-publisher = node.advertise(TopicSpec("/flood", "std_msgs/msg/String", "", Qos("best_effort")), "link")
-print("there", flush=True)
-while True:
-    for _ in range(20):
-        publisher.publish(bytes.fromhex("00010000020000006100"))
-    time.sleep(0.001)
-"""
-
-
-@contextlib.contextmanager
-def flooding(domain: int) -> Iterator[None]:
-    """Publish 20,000 messages a second from another process, so that DDS's threads call back without the GIL."""
-    command = [sys.executable, "-c", _FLOOD, str(domain)]
-    with subprocess.Popen(command, cwd=Path(__file__).parents[2], stdout=subprocess.PIPE) as program:
-        assert program.stdout is not None
-        program.stdout.readline()
-        try:
-            yield
-        finally:
-            program.kill()
-
-
-def test_number_of_closed_descriptor_is_never_written_to(
-    participant: Participant, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Another descriptor gets the number at once, while messages still come."""
-    spec = TopicSpec("/flood", STRING, "", Qos("best_effort"))
-    close, later = os.close, list[int]()
-
-    def closed_and_given_away(descriptor: int) -> None:
-        close(descriptor)
-        later.append(os.eventfd(0, os.EFD_NONBLOCK))
-        assert later[-1] <= descriptor  # the lowest free number
-
-    monkeypatch.setattr(os, "close", closed_and_given_away)
-    with flooding(ANOTHER):
-        for _ in range(60):
-            reader = participant.create_reader(spec)
-            participant.arrivals.add(reader)
-            eventually(lambda reader=reader: reader.handle.address in reported(participant, 1.0) and reader.matched)
-            eventually(lambda reader=reader: reader.take(64, ()))
-            participant.arrivals.remove(reader)
-            assert later
-            time.sleep(0.005)  # some 100 messages come to the reader, which nobody is told of
-            participant.free(reader)
-            while later:
-                with pytest.raises(BlockingIOError):
-                    os.eventfd_read(later[-1])
-                close(later.pop())
-    monkeypatch.undo()
+def test_number_of_closed_descriptor_is_never_written_to() -> None:
+    """In a process of its own: who frees a reader while DDS matches one may end with it (Fast DDS #3303)."""
+    command = (sys.executable, "-m", "tests.ros.descriptors_given_away", str(ANOTHER))
+    ended = subprocess.run(
+        command, cwd=Path(__file__).parents[2], capture_output=True, text=True, timeout=300, check=False
+    )
+    assert (ended.returncode, ended.stdout) == (0, "60 closed\n"), ended.stderr
 
 
 def test_removing_waits_for_event_under_way(
