@@ -29,7 +29,7 @@ SEED := 0
 LIMIT := 7200
 # What fails runs once more, alone. `make test NET=` is without that, as all that runs at night is.
 NET = $(BIN)/python -P .ci/net.py
-# If a worker is killed, its test fails, and what its lane had left is not run: with a new worker, pytest-xdist 3.8 hangs at the end.
+# If a worker is lost, its test fails, and what is left is for another run: with a new worker, pytest-xdist 3.8 hangs at the end.
 AT_ONCE = $(PYTEST) -n $(WORKERS) --dist loadscope --max-worker-restart 0
 # tests/checks runs lint, and tests/wire with its coverage.
 FEATURES := $(wildcard extras/rsb_extras/*/tests)

@@ -95,13 +95,31 @@ def test_what_is_no_tests_failure_is_red(net: Net, trouble: str, code: int) -> N
     assert net.unstable == []
 
 
-def test_lost_worker_is_red(net: Net) -> None:
-    """What it had left is not run at all, though the test that ended it would pass the next time."""
-    ends = SECOND_TIME.format(number=0).replace("assert", "len(count.read_text()) == 2 or os._exit(9) #")
-    workers = ("-n", "2", "--dist", "loadscope", "--max-worker-restart", "0", "-p", "tests.support.lost_workers")
-    assert net(*workers, a=f"import os\n{ends}{PASSES}", b=PASSES) == 2
-    assert net.runs(0) == 1
+LANES = ("-n", "2", "--dist", "loadscope", "--max-worker-restart", "0", "-p", "tests.support.lost_workers")
+ENDS = "import os\n" + SECOND_TIME.replace("assert", "len(count.read_text()) == 2 or os._exit(9) #")
+"""A test that ends its process when it runs for the first time."""
+ONCE = SECOND_TIME.replace("second_time", "once").replace("== 2", "== 1")
+"""A test that fails when it runs again."""
+
+
+def test_rest_is_run_after_a_lost_worker(net: Net) -> None:
+    """What its lane had left, too; what has passed is not run again."""
+    assert net(*LANES, a=ENDS.format(number=0) + ONCE.format(number=1), b=ONCE.format(number=2)) == 0
+    assert net.unstable == net.said("unstable:") == ["test_a.py::test_second_time0"]
+    assert (net.runs(0), net.runs(1), net.runs(2)) == (2, 1, 1)
+
+
+def test_two_lost_workers_are_red(net: Net) -> None:
+    """Though each would pass the next time."""
+    assert net(*LANES, a=ENDS.format(number=0), b=PASSES) == 0
+    assert net(*LANES, a=ENDS.format(number=1).replace("== 2", "== 3"), b=PASSES) == 20
+    assert net.said("failed twice:")[-1:] == ["test_a.py::test_second_time1"]
     assert net.unstable == []
+
+
+def test_failure_beside_a_lost_worker_is_red(net: Net) -> None:
+    assert net(*LANES, a=ENDS.format(number=0), b=FAILS) == 1
+    assert net.said("failed twice:")[-1:] == ["test_b.py::test_fails"]
 
 
 def test_nothing_to_run_is_red(net: Net) -> None:
