@@ -6,6 +6,7 @@ from tests.support.places import Place
 
 BENCH_LATE = Place("rsb_extras.bench.bench_ends", "_LATE_SECONDS")
 BENCH_QUIET = Place("rsb_extras.bench.link_bench", "_QUIET")
+BENCH_IDLE = Place("rsb_extras.bench.link_bench", "_IDLE_FOR")
 ASK_PEER = Place("rsb_extras.bench.link_bench", "LinkBench._ask")
 LOOPBACK = Place("rsb_extras.bench.bench_command", "Loopback")
 WRITE_RECORDINGS = Place("rsb_extras.bench.bench_recording", "BenchRecording.write")

@@ -100,7 +100,8 @@ def test_run_with_reopened_topic_has_no_figures(
         running.result(WITHIN)
 
 
-def test_both_sides_do_not_measure_at_once(pair: Callable[..., Pair]) -> None:
+def test_both_sides_do_not_measure_at_once(pair: Callable[..., Pair], monkeypatch: pytest.MonkeyPatch) -> None:
+    bench_places.BENCH_IDLE.set(monkeypatch, 600.0)  # the second one may begin late
     both = pair(to_client=LEAVE, to_server=LEAVE)
     both.run(both.client)
     assert "measuring the link" in both.refused(both.server)
