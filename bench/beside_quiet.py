@@ -3,7 +3,8 @@
 Each bed has two linked sides of ours, a talker and a listener of one topic, and quiet topics beside it: a publisher and
 a subscription each, and no message. All beds stand at once, each in two ROS domains of its own, and take turns.
 ``--other FOLDER`` adds the same beds of another checkout, in the same turns; ``--peer`` adds them with
-zenoh-bridge-ros2dds; ``--many 100`` adds a bed of so many topics at 10 Hz of 500 B each.
+zenoh-bridge-ros2dds; ``--many 100`` adds a bed of so many topics at 10 Hz of 500 B each: both sides' CPU by thread, and
+in ratio to the first bed of the same round.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import sys
 import tempfile
 import threading
 import time
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -39,6 +41,11 @@ _SIZE = 2_500
 _DOMAINS = range(66, 100, 2)
 _IDLE_SECONDS = 10.0
 _MANY_RATE, _MANY_SIZE, _MANY_SECONDS = 10.0, 500, 10.0
+_MANY_SETTLES = 15.0
+"""s of messages before these count: a robot's topics flow for hours, and a route is looked at more often until it has
+settled after a pause (`rsb_bridge.route.idling.SETTLES`)."""
+_USER_PROFILES = "RMW_FASTRTPS_USE_QOS_FROM_XML"
+_SHOWN = 0.3  # µs a message of a thread that is shown
 _SLEPT = re.compile(r"^voluntary_ctxt_switches:\s*(\d+)", re.MULTILINE)
 _FEW, _KEPT_UP = 0.99, 0.9
 """Shares of the messages that have to come, and of the rate that has to be reached, for a burst's CPU to count."""
@@ -96,9 +103,9 @@ def main(arguments: Sequence[str]) -> None:
                 for name in in_turn([plan.name for plan in plans if plan.busy == 1], number + turn):
                     plan = next(each for each in plans if each.name == name)
                     _measure(figures, number, plan, beds[plan], rate, seconds)
-            for plan in plans:
-                if plan.busy > 1:
-                    _measure_many(figures, number, plan, beds[plan])
+            many = {plan.name: plan for plan in plans if plan.busy > 1}
+            for name in in_turn([*many], number) if many else ():
+                _measure_many(figures, number, many[name], beds[many[name]])
         for plan, each in beds.items():
             for at, process in enumerate(each.between):
                 figures.add(0, plan.name, f"memory {at}", process.memory())
@@ -169,15 +176,25 @@ def _measure(figures: Figures, number: int, plan: Plan, made: bed.Bed, rate: int
 
 
 def _measure_many(figures: Figures, number: int, plan: Plan, made: bed.Bed) -> None:
-    made.talker.ask("talk 1")
+    made.talker.ask(f"talk {_MANY_SETTLES}")
     made.listener.ask("reset")
-    before = [(side.cpu(), _switches(side)) for side in made.between]
+    before, stolen = [(side.cpu(), _switches(side), _threads(side)) for side in made.between], _stolen()
     seconds = made.talker.ask(f"talk {_MANY_SECONDS}")["seconds"]
-    for at, (side, (cpu, switches)) in enumerate(zip(made.between, before, strict=True)):
-        figures.add(number, plan.name, f"many {at}", 100 * (side.cpu() - cpu) / seconds)
-        messages = seconds * plan.busy * _MANY_RATE
+    figures.add(number, plan.name, "many stolen", 100 * (_stolen() - stolen) / seconds)
+    messages, both = seconds * plan.busy * _MANY_RATE, 0.0
+    for at, (side, (cpu, switches, threads)) in enumerate(zip(made.between, before, strict=True)):
+        used = side.cpu() - cpu
+        both += used
+        figures.add(number, plan.name, f"many {at}", 100 * used / seconds)
         figures.add(number, plan.name, f"many switches {at}", (_switches(side) - switches) / messages)
+        for thread, until in _threads(side).items():
+            a_message = (until - threads[thread]) / messages * 1e6
+            if a_message >= _SHOWN:
+                figures.add(number, plan.name, f"many thread {at} {thread}", a_message)
     report = made.listener.ask("report")
+    # A machine without time for it loses messages, and those that it does not lose it takes many at a time.
+    if report["count"] >= _FEW * messages:
+        figures.add(number, plan.name, "many both", both)
     for name in ("p50", "p99"):
         figures.add(number, plan.name, f"many {name}", report[name] / 1e6)
 
@@ -186,6 +203,22 @@ def _switches(side: bed.Process) -> int:
     """How often the threads of a process have slept, which a busy machine does not change as it changes seconds."""
     tasks = Path(f"/proc/{side.pid}/task").glob("*/status")
     return sum(int(_SLEPT.findall(each.read_text(encoding="ascii"))[0]) for each in tasks)
+
+
+def _threads(side: bed.Process) -> Counter[str]:
+    """Return the CPU time (s) of a process's threads by name, without the numbers in it."""
+    used = Counter[str]()
+    for task in Path(f"/proc/{side.pid}/task").iterdir():
+        with contextlib.suppress(OSError):  # it has ended
+            name = (task / "comm").read_text(encoding="ascii").strip().rstrip("0123456789.-")
+            used[name] += int((task / "schedstat").read_text(encoding="ascii").split()[0]) / 1e9
+    return used
+
+
+def _stolen() -> float:
+    """Return the CPU time (s) so far that other guests of the host had while this machine wanted to run."""
+    ticks = Path("/proc/stat").read_text(encoding="ascii").splitlines()[0].split()[8]
+    return int(ticks) / os.sysconf("SC_CLK_TCK")
 
 
 def _print(figures: Figures, plans: Sequence[Plan]) -> None:
@@ -204,6 +237,16 @@ def _print(figures: Figures, plans: Sequence[Plan]) -> None:
             )
             print(f"  {cpu} % of a core, p50 {cell(name, 'many p50', '.2f')}, p99 {cell(name, 'many p99', '.1f')} ms, "
                   f"{switches} sleeps of threads a message")  # fmt: skip
+            first = next(each for each in plans if each.busy > 1).name
+            ratio = figures.ratio(name, "many both", first)
+            if ratio is not None and name != first:
+                print(f"  CPU of both sides {ratio.middle:.2f} ({ratio.low:.2f}–{ratio.high:.2f}) × of {first}")
+            for at, side in enumerate(("sending", "receiving")):
+                start = f"many thread {at} "
+                parts = {each: figures.spread(name, start + each) for each in figures.names(name, start)}
+                shown = sorted(((each.middle, thread) for thread, each in parts.items() if each), reverse=True)
+                print(f"  {side}, µs a message:", ", ".join(f"{thread} {used:.1f}" for used, thread in shown))
+            print(f"  stolen by other guests: {cell(name, 'many stolen', '.1f')} % of a core")
             continue
         first = plan._replace(quiet=plans[0].quiet).name
         for rate, _ in RATES:
@@ -222,6 +265,9 @@ def _pair(spreads: Sequence[object], form: str) -> str:
 
 def ends(part: str, domain: int, names: Sequence[str]) -> None:
     """Be the publishers, the subscriptions or the talker of many topics, until standard input ends."""
+    # As a robot's node: a writer by the bridge's own profiles asks its readers for what they lack ten times a second,
+    # which is each message at 10 Hz.
+    os.environ.setdefault(_USER_PROFILES, "0")
     node = RosNode(domain, f"bench_{part}")
     node.start()
     specs = [TopicSpec(name, STRING, STRING_HASH, Qos()) for name in names]

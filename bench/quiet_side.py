@@ -12,6 +12,8 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
+from bench.named_threads import name_threads
+
 from rsb_bridge.engine import Engine, io_loop
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Session, Topic
@@ -54,6 +56,7 @@ class Turns:
 
 def main() -> None:
     role, folder, port, domain, *names = sys.argv[1:]
+    name_threads()
     turns = Turns()
     session = Session(
         name="bench", role=cast("Role", role), server_ip="127.0.0.1", server_port=int(port), domain_id=int(domain),
