@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from bench.named_threads import name_threads
 
-from rsb_bridge.engine import Engine, io_loop
+from rsb_bridge.engine import Engine, freeze_heap, io_loop
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.ros.node import RosNode
@@ -64,6 +64,7 @@ def main() -> None:
     )  # fmt: skip
     engine = Engine(session, base=Path(folder), ros=RosNode(int(domain), role))
     engine.start()
+    freeze_heap()  # as a bridge without a console does
     print("{}", flush=True)
     for line in sys.stdin:
         answer: dict[str, float] = {}
