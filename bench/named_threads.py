@@ -11,7 +11,7 @@ _run = threading.Thread.run
 
 def name_threads() -> None:
     """Have the kernel know this process's threads, from now on, by Python's names."""
-    threading.Thread.run = _run_named  # type: ignore[method-assign]
+    threading.Thread.run = _run_named  # type: ignore[assignment,method-assign]
 
 
 def _run_named(thread: threading.Thread) -> None:
