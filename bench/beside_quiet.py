@@ -3,7 +3,8 @@
 Each bed has two linked sides of ours, a talker and a listener of one topic, and quiet topics beside it: a publisher and
 a subscription each, and no message. All beds stand at once, each in two ROS domains of its own, and take turns.
 ``--other FOLDER`` adds the same beds of another checkout, in the same turns; ``--peer`` adds them with
-zenoh-bridge-ros2dds; ``--many 100`` adds a bed of so many topics at 10 Hz of 500 B each.
+zenoh-bridge-ros2dds; ``--many 100`` adds a bed of so many topics at 10 Hz of 500 B each: both sides' CPU by thread, and
+in ratio to the first bed of the same round.
 """
 
 from __future__ import annotations
@@ -39,6 +40,11 @@ _SIZE = 2_500
 _DOMAINS = range(66, 100, 2)
 _IDLE_SECONDS = 10.0
 _MANY_RATE, _MANY_SIZE, _MANY_SECONDS = 10.0, 500, 10.0
+_MANY_SETTLES = 15.0
+"""s of messages before these count: a robot's topics flow for hours, and a route is looked at more often until it has
+settled after a pause (`rsb_bridge.route.idling.SETTLES`)."""
+_USER_PROFILES = "RMW_FASTRTPS_USE_QOS_FROM_XML"
+_SHOWN = 0.3  # µs a message of a thread that is shown
 _SLEPT = re.compile(r"^voluntary_ctxt_switches:\s*(\d+)", re.MULTILINE)
 _FEW, _KEPT_UP = 0.99, 0.9
 """Shares of the messages that have to come, and of the rate that has to be reached, for a burst's CPU to count."""
@@ -96,9 +102,9 @@ def main(arguments: Sequence[str]) -> None:
                 for name in in_turn([plan.name for plan in plans if plan.busy == 1], number + turn):
                     plan = next(each for each in plans if each.name == name)
                     _measure(figures, number, plan, beds[plan], rate, seconds)
-            for plan in plans:
-                if plan.busy > 1:
-                    _measure_many(figures, number, plan, beds[plan])
+            many = {plan.name: plan for plan in plans if plan.busy > 1}
+            for name in in_turn([*many], number) if many else ():
+                _measure_many(figures, number, many[name], beds[many[name]])
         for plan, each in beds.items():
             for at, process in enumerate(each.between):
                 figures.add(0, plan.name, f"memory {at}", process.memory())
@@ -169,51 +175,96 @@ def _measure(figures: Figures, number: int, plan: Plan, made: bed.Bed, rate: int
 
 
 def _measure_many(figures: Figures, number: int, plan: Plan, made: bed.Bed) -> None:
-    made.talker.ask("talk 1")
+    made.talker.ask(f"talk {_MANY_SETTLES}")
     made.listener.ask("reset")
-    before = [(side.cpu(), _switches(side)) for side in made.between]
+    before, stolen = [(side.cpu(), _threads(side)) for side in made.between], _stolen()
     seconds = made.talker.ask(f"talk {_MANY_SECONDS}")["seconds"]
-    for at, (side, (cpu, switches)) in enumerate(zip(made.between, before, strict=True)):
-        figures.add(number, plan.name, f"many {at}", 100 * (side.cpu() - cpu) / seconds)
-        messages = seconds * plan.busy * _MANY_RATE
-        figures.add(number, plan.name, f"many switches {at}", (_switches(side) - switches) / messages)
+    figures.add(number, plan.name, "many stolen", 100 * (_stolen() - stolen) / seconds)
+    messages, both = seconds * plan.busy * _MANY_RATE, 0.0
+    for at, (side, (cpu, threads)) in enumerate(zip(made.between, before, strict=True)):
+        used = side.cpu() - cpu
+        both += used
+        figures.add(number, plan.name, f"many {at}", 100 * used / seconds)
+        for name, until in _threads(side).items():
+            since = threads.get(name, _Thread())
+            figures.add(number, plan.name, f"many CPU {at} {name}", (until.cpu - since.cpu) / messages * 1e6)
+            figures.add(number, plan.name, f"many sleeps {at} {name}", (until.sleeps - since.sleeps) / messages)
     report = made.listener.ask("report")
+    # A machine without time for it loses messages, and those that it does not lose it takes many at a time.
+    if report["count"] >= _FEW * messages:
+        figures.add(number, plan.name, "many both", both)
     for name in ("p50", "p99"):
         figures.add(number, plan.name, f"many {name}", report[name] / 1e6)
 
 
-def _switches(side: bed.Process) -> int:
-    """How often the threads of a process have slept, which a busy machine does not change as it changes seconds."""
-    tasks = Path(f"/proc/{side.pid}/task").glob("*/status")
-    return sum(int(_SLEPT.findall(each.read_text(encoding="ascii"))[0]) for each in tasks)
+class _Thread(NamedTuple):
+    """A thread so far, or several of one name: CPU time (s), and how often it has slept.
+
+    A busy machine changes the number of sleeps less than seconds of a clock. It has fewer of them where a thread that
+    waits for its turn finds several messages then.
+    """
+
+    cpu: float = 0.0
+    sleeps: int = 0
+
+
+def _threads(side: bed.Process) -> dict[str, _Thread]:
+    """Return a process's threads by their names without the numbers in them."""
+    found: dict[str, _Thread] = {}
+    for task in Path(f"/proc/{side.pid}/task").iterdir():
+        with contextlib.suppress(OSError):  # it has ended
+            name, schedstat, status = ((task / each).read_text("ascii") for each in ("comm", "schedstat", "status"))
+            name = name.strip().rstrip("0123456789.-")
+            cpu, sleeps = found.get(name, _Thread())
+            found[name] = _Thread(cpu + int(schedstat.split()[0]) / 1e9, sleeps + int(_SLEPT.findall(status)[0]))
+    return found
+
+
+def _stolen() -> float:
+    """Return the CPU time (s) so far that other guests of the host had while this machine wanted to run."""
+    ticks = Path("/proc/stat").read_text(encoding="ascii").splitlines()[0].split()[8]
+    return int(ticks) / os.sysconf("SC_CLK_TCK")
 
 
 def _print(figures: Figures, plans: Sequence[Plan]) -> None:
-    def cell(name: str, quantity: str, form: str = ",.0f") -> str:
-        spread = figures.spread(name, quantity)
-        return "–" if spread is None else f"{spread.middle:{form}} ({spread.low:{form}}–{spread.high:{form}})"
-
     for plan in plans:
         name = plan.name
         idle, memory = ([figures.spread(name, f"{what} {at}") for at in (0, 1)] for what in ("idle", "memory"))
         print(f"{name}: idle {_pair(idle, '.2f')} % of a core, {_pair(memory, '.0f')} MB")
         if plan.busy > 1:
-            cpu, switches = (
-                " + ".join(cell(name, f"many {what}{at}", form) for at in (0, 1))
-                for what, form in (("", ".1f"), ("switches ", ".2f"))
-            )
-            print(f"  {cpu} % of a core, p50 {cell(name, 'many p50', '.2f')}, p99 {cell(name, 'many p99', '.1f')} ms, "
-                  f"{switches} sleeps of threads a message")  # fmt: skip
+            _print_many(figures, name, next(each.name for each in plans if each.busy > 1))
             continue
         first = plan._replace(quiet=plans[0].quiet).name
         for rate, _ in RATES:
             ratio = figures.ratio(name, f"{rate} CPU", first)
             print(
-                f"  {rate:>5,} Hz: {cell(name, f'{rate} CPU'):<22} µs a message, "
+                f"  {rate:>5,} Hz: {_cell(figures, name, f'{rate} CPU', ',.0f'):<22} µs a message, "
                 f"{'–' if ratio is None else f'{ratio.middle:.2f}':>5} × as beside {plans[0].quiet}, "
-                f"p99 {cell(name, f'{rate} p99', '.1f')} ms, longest turn {cell(name, f'{rate} turn', '.1f')} ms, "
-                f"lost {cell(name, f'{rate} lost', '.1f')} %"
+                f"p99 {_cell(figures, name, f'{rate} p99')} ms, "
+                f"longest turn {_cell(figures, name, f'{rate} turn')} ms, lost {_cell(figures, name, f'{rate} lost')} %"
             )
+
+
+def _print_many(figures: Figures, name: str, first: str) -> None:
+    """Print the figures of a bed of many topics, in ratio to the bed `first`."""
+    p50, p99 = (_cell(figures, name, f"many {each}", ".2f") for each in ("p50", "p99"))
+    print(f"  {_cell(figures, name, 'many 0')} + {_cell(figures, name, 'many 1')} % of a core, p50 {p50}, p99 {p99} ms")
+    if name != first and (ratio := figures.ratio(name, "many both", first)) is not None:
+        print(f"  CPU of both sides {ratio.middle:.2f} ({ratio.low:.2f}–{ratio.high:.2f}) × of {first}")
+    for at, side in enumerate(("sending", "receiving")):
+        of_side = f"many CPU {at} "
+        used = [(figures.spread(name, of_side + each), each) for each in figures.names(name, of_side)]
+        shown = sorted([(cpu.middle, each) for cpu, each in used if cpu and cpu.middle >= _SHOWN], reverse=True)
+        threads = [
+            f"{each} {cpu:.1f} ({_cell(figures, name, f'many sleeps {at} {each}', '.2f')})" for cpu, each in shown
+        ]
+        print(f"  {side} side's threads, µs (sleeps) a message: {', '.join(threads)}")
+    print(f"  stolen by other guests: {_cell(figures, name, 'many stolen')} % of a core")
+
+
+def _cell(figures: Figures, name: str, quantity: str, form: str = ".1f") -> str:
+    spread = figures.spread(name, quantity)
+    return "–" if spread is None else f"{spread.middle:{form}} ({spread.low:{form}}–{spread.high:{form}})"
 
 
 def _pair(spreads: Sequence[object], form: str) -> str:
@@ -222,6 +273,9 @@ def _pair(spreads: Sequence[object], form: str) -> str:
 
 def ends(part: str, domain: int, names: Sequence[str]) -> None:
     """Be the publishers, the subscriptions or the talker of many topics, until standard input ends."""
+    # As a robot's node: a writer by the bridge's own profiles asks its readers for what they lack ten times a second,
+    # which is each message at 10 Hz.
+    os.environ.setdefault(_USER_PROFILES, "0")
     node = RosNode(domain, f"bench_{part}")
     node.start()
     specs = [TopicSpec(name, STRING, STRING_HASH, Qos()) for name in names]

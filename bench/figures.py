@@ -27,6 +27,10 @@ class Figures:
     def add(self, number: int, bed: str, quantity: str, value: float) -> None:
         self._values[bed, quantity][number] = value
 
+    def names(self, bed: str, start: str) -> list[str]:
+        """Return the rest of the names of a bed's quantities that begin so."""
+        return [name.removeprefix(start) for of, name in self._values if of == bed and name.startswith(start)]
+
     def latest(self, bed: str, quantity: str) -> float | None:
         """Return the value of the last round that has one, or None."""
         values = self._values[bed, quantity]

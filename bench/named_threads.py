@@ -5,10 +5,13 @@ from __future__ import annotations
 import sys
 import threading
 
-from rsb_console.cli import main
-
 _NAME_LENGTH = 15  # the kernel keeps no more, proc_pid_comm(5)
 _run = threading.Thread.run
+
+
+def name_threads() -> None:
+    """Have the kernel know this process's threads, from now on, by Python's names."""
+    threading.Thread.run = _run_named  # type: ignore[assignment,method-assign]
 
 
 def _run_named(thread: threading.Thread) -> None:
@@ -18,5 +21,7 @@ def _run_named(thread: threading.Thread) -> None:
 
 
 if __name__ == "__main__":
-    threading.Thread.run = _run_named  # type: ignore[assignment,method-assign]
+    from rsb_console.cli import main
+
+    name_threads()
     sys.exit(main())

@@ -12,7 +12,9 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from rsb_bridge.engine import Engine, io_loop
+from bench.named_threads import name_threads
+
+from rsb_bridge.engine import Engine, freeze_heap, io_loop
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.ros.node import RosNode
@@ -54,6 +56,7 @@ class Turns:
 
 def main() -> None:
     role, folder, port, domain, *names = sys.argv[1:]
+    name_threads()
     turns = Turns()
     session = Session(
         name="bench", role=cast("Role", role), server_ip="127.0.0.1", server_port=int(port), domain_id=int(domain),
@@ -61,6 +64,7 @@ def main() -> None:
     )  # fmt: skip
     engine = Engine(session, base=Path(folder), ros=RosNode(int(domain), role))
     engine.start()
+    freeze_heap()  # as a bridge without a console does
     print("{}", flush=True)
     for line in sys.stdin:
         answer: dict[str, float] = {}

@@ -180,6 +180,7 @@ def _listen(context: Context, node: Node, topics: Sequence[str]) -> None:
 
 def drain(context: Context, handles: Sequence[Any], take: Callable[[bytes], object]) -> None:
     """Pass the subscriptions' messages, serialized, to `take` until the context is shut down."""
+    by_address = {handle.pointer: handle for handle in handles}
     with context.handle, contextlib.ExitStack() as held:
         for handle in handles:
             held.enter_context(handle)
@@ -189,7 +190,8 @@ def drain(context: Context, handles: Sequence[Any], take: Callable[[bytes], obje
             for handle in handles:
                 waits.add_subscription(handle)
             waits.wait(100_000_000)
-            for handle in handles:
+            for address in waits.get_ready_entities("subscription"):
+                handle = by_address[address]
                 while (taken := handle.take_message(String, True)) is not None:
                     if not taken[0]:
                         # In place of a message that another DDS withdrew, Fast DDS gives one without a byte, and again
