@@ -146,7 +146,7 @@ class ConsoleApp(TerminalApp[None]):
         elif self._session is not None:
             self._run_session(self._session, self.path, self._first_resources, temporary=self.temporary)
         else:
-            self.main.run_worker(welcome(self.main), group=Group.SESSION, exclusive=True)
+            self.main.run_worker(partial(welcome, self.main), group=Group.SESSION, exclusive=True)
 
     # --- the session
 
@@ -205,7 +205,7 @@ class ConsoleApp(TerminalApp[None]):
                 self.notify(str(error), title="Nobody can attach", severity="warning", markup=False, timeout=15)
             if running is not None:
                 self.engine, self.note = None, "no session"
-                self.main.run_worker(attach_instead(self.main, running), group=Group.SESSION, exclusive=True)
+                self.main.run_worker(partial(attach_instead, self.main, running), group=Group.SESSION, exclusive=True)
                 return
         self.engine = engine
         try:

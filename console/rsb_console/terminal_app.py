@@ -12,6 +12,7 @@ import sys
 import threading
 import traceback
 from enum import Enum
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
@@ -176,7 +177,7 @@ class TerminalApp(OpenApp[ReturnType]):
             self.input_gate.pulse = self.driver_now.pulse
             self.set_interval(ASKED_EVERY, self._look_at_terminal)
             # A worker, as a timer's own call would let keys wait for all of it.
-            self.set_timer(_PREPARES_AFTER, lambda: self.run_worker(prepare(self), exit_on_error=False))
+            self.set_timer(_PREPARES_AFTER, lambda: self.run_worker(partial(prepare, self), exit_on_error=False))
 
     def _look_at_terminal(self) -> None:
         if isinstance(self.driver_now, ConsoleDriver):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from functools import partial
 from typing import TYPE_CHECKING, ClassVar
 
 from textual import work
@@ -201,7 +202,7 @@ class LifecycleScreen(SidesScreen["ManagedSide"]):
         question = ConfirmScreen(title, means, command.action.capitalize(), Effect.MOVES | Effect.LOSES)
         if await self.console.ask(question) is True and (engine := self.console.engine) is not None:
             # Not in this worker, for which keys wait, nor of this screen, which may be closed before the end.
-            self.app.run_worker(_change(self, engine, row, command), group="node-changes")
+            self.app.run_worker(partial(_change, self, engine, row, command), group="node-changes")
 
 
 async def _change(screen: LifecycleScreen, engine: EngineApi, row: LifecycleRow, command: ChangeNodes) -> None:

@@ -233,7 +233,7 @@ class ParametersScreen(FilteredScreen[None]):
             return
         if (engine := self.console.engine) is not None:
             # Not in this worker, for which keys wait, nor of this screen, which may be closed before the end.
-            self.app.run_worker(self.set(engine, change), group="node-changes")
+            self.app.run_worker(partial(self.set, engine, change), group="node-changes")
 
     async def set(self, engine: EngineApi, change: ParameterChange) -> None:
         """Have the node set a value, say how that has ended, and read all again."""

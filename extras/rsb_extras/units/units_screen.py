@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from functools import partial
 from typing import TYPE_CHECKING, ClassVar, NamedTuple, TypeAlias
 from weakref import WeakKeyDictionary
 
@@ -152,7 +153,7 @@ class UnitsScreen(SidesScreen["UnitGroup"]):
             self.results[row.key] = action, None
             self.show_outcome()
             # Not in this worker, for which keys wait, nor of this screen, which may be closed before the end.
-            self.main.run_worker(_control(self.main, engine, row, action), group="unit-actions")
+            self.main.run_worker(partial(_control, self.main, engine, row, action), group="unit-actions")
 
 
 async def _control(main: MainScreen, engine: EngineApi, row: UnitRow, action: UnitAction) -> None:
