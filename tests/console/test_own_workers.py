@@ -27,12 +27,15 @@ if TYPE_CHECKING:
 
 FOLDERS = [Path(str(package.__file__)).parent for package in (rsb_console, rsb_extras)]
 
+MADE_LATER = ("partial", "call_of")
+
 
 def coroutines(source: str) -> list[str]:
     """The calls of `run_worker` with what a function has returned."""
     calls = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Call) and node.args]
     given = [call.args[0] for call in calls if ast.unparse(call.func).endswith(".run_worker")]
-    return [ast.unparse(each) for each in given if isinstance(each, ast.Call) and ast.unparse(each.func) != "partial"]
+    made = [each for each in given if isinstance(each, ast.Call)]
+    return [ast.unparse(each) for each in made if ast.unparse(each.func) not in MADE_LATER]
 
 
 @pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)

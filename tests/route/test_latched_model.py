@@ -16,10 +16,11 @@ from tests.support.offline import FakePeer
 from tests.support.virtual_time import VirtualClock, VirtualLoop, virtual_loop
 
 from rsb_bridge.context import Context
+from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Session
 from rsb_bridge.ros.discovery import Discovery
-from rsb_bridge.ros.ros_interface import RawMessage, RosError, RosProblem, TopicSpec
+from rsb_bridge.ros.ros_interface import RawMessage, RosError, TopicSpec
 from rsb_bridge.ros.ros_thread import RosToLoopQueue
 from rsb_bridge.route.latched import PUBLISHER_COST, LatchedFullError, LatchedTopic
 from rsb_bridge.route.source_publishers import bounded
@@ -1041,7 +1042,7 @@ def test_moved_topic_publishes_what_is_kept_once_more(depths: tuple[int, int]) -
         topic = LatchedTopic(loop, far.advertise, budget, depths[0], repeats=True)
         writer = publisher_id(b"writer")
         for number in range(1, 5):
-            look = None if number != 2 else lambda: RosError(RosProblem.CLOSED())
+            look = None if number != 2 else lambda: Refused.DISARMED
             assert topic.publish(HistoryHeader(writer, number, depths[0]), b"%d" % number, look)
             loop.run_until_complete(asyncio.sleep(0.2))
         topic.present({writer: depths[1]})

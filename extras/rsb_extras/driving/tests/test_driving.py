@@ -4,7 +4,6 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import replace
-from functools import partial
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -466,7 +465,11 @@ async def test_the_one_topic_of_a_robot_is_driven(
 ) -> None:
     put(app, *routes)
     engine_of(app).drafts["/cmd_vel"] = Draft(TWIST, "")
-    app.run_worker(partial(drive_one, app, routes))
+
+    async def drives() -> None:
+        await drive_one(app, routes)
+
+    app.run_worker(drives)
     if isinstance(result, DriveText):
         await notified(pilot, result)
         assert app.screen is app.main
