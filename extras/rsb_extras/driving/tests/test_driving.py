@@ -465,11 +465,7 @@ async def test_the_one_topic_of_a_robot_is_driven(
 ) -> None:
     put(app, *routes)
     engine_of(app).drafts["/cmd_vel"] = Draft(TWIST, "")
-
-    async def drives() -> None:
-        await drive_one(app, routes)
-
-    app.run_worker(drives)
+    app.run_worker(drive_one(app, routes))
     if isinstance(result, DriveText):
         await notified(pilot, result)
         assert app.screen is app.main
