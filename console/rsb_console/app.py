@@ -19,7 +19,7 @@ from rsb_bridge.model.commands import Effect
 from rsb_bridge.model.faults import ChangeKind, FaultWatch, fault_count
 from rsb_bridge.model.snapshot import LinkSnapshot, PatternSnapshot, Snapshot, State
 from rsb_bridge.model.verdict import LinkCause
-from rsb_console.actions.action import Group
+from rsb_console.actions.action import Group, call_of
 from rsb_console.notation.glyphs import STATE_WORD
 from rsb_console.operations.deadman import Deadman
 from rsb_console.operations.session_operations import attach_instead, confirm_end, welcome
@@ -146,7 +146,7 @@ class ConsoleApp(TerminalApp[None]):
         elif self._session is not None:
             self._run_session(self._session, self.path, self._first_resources, temporary=self.temporary)
         else:
-            self.main.run_worker(welcome(self.main), group=Group.SESSION, exclusive=True)
+            self.main.run_worker(call_of(welcome, self.main), group=Group.SESSION, exclusive=True)
 
     # --- the session
 
@@ -205,7 +205,7 @@ class ConsoleApp(TerminalApp[None]):
                 self.notify(str(error), title="Nobody can attach", severity="warning", markup=False, timeout=15)
             if running is not None:
                 self.engine, self.note = None, "no session"
-                self.main.run_worker(attach_instead(self.main, running), group=Group.SESSION, exclusive=True)
+                self.main.run_worker(call_of(attach_instead, self.main, running), group=Group.SESSION, exclusive=True)
                 return
         self.engine = engine
         try:

@@ -26,7 +26,7 @@ from textual.signal import Signal
 from rsb_bridge.config.files import make_folder, owner_only, remove_file
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import several_lines
-from rsb_console.actions.action import Action, Group, late_modules
+from rsb_console.actions.action import Action, Group, call_of, late_modules
 from rsb_console.actions.all_actions import ACTIONS, bindings
 from rsb_console.library_internals.rich_internals import colours_of, use_colours
 from rsb_console.library_internals.textual_internals import ChopsUpdate, LayoutUpdate, OpenApp, style_scope
@@ -176,7 +176,7 @@ class TerminalApp(OpenApp[ReturnType]):
             self.input_gate.pulse = self.driver_now.pulse
             self.set_interval(ASKED_EVERY, self._look_at_terminal)
             # A worker, as a timer's own call would let keys wait for all of it.
-            self.set_timer(_PREPARES_AFTER, lambda: self.run_worker(prepare(self), exit_on_error=False))
+            self.set_timer(_PREPARES_AFTER, lambda: self.run_worker(call_of(prepare, self), exit_on_error=False))
 
     def _look_at_terminal(self) -> None:
         if isinstance(self.driver_now, ConsoleDriver):

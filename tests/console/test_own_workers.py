@@ -1,4 +1,4 @@
-"""A screen's own method is a worker by `textual.work`, which hands over a function.
+"""Workers get functions, from `textual.work` or as a `functools.partial`, and no coroutines.
 
 The coroutine of a worker that ends before it begins, as when the console quits, is never awaited: Python warns.
 """
@@ -6,30 +6,65 @@ The coroutine of a worker that ends before it begins, as when the console quits,
 from __future__ import annotations
 
 import ast
+import gc
+import warnings
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
+from tests.console.driving import on_main, until
 
 import rsb_console
 import rsb_extras
+from rsb_console.actions.all_actions import BY_ID
+
+if TYPE_CHECKING:
+    from textual.pilot import Pilot
+
+    from rsb_console.app import ConsoleApp
 
 FOLDERS = [Path(str(package.__file__)).parent for package in (rsb_console, rsb_extras)]
 
+MADE_LATER = ("partial", "call_of")
 
-def own_coroutines(source: str) -> list[str]:
-    """The calls of `self.run_worker` with what a method of `self` has returned."""
+
+def coroutines(source: str) -> list[str]:
+    """The calls of `run_worker` with what a function has returned."""
     calls = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Call) and node.args]
-    given = [call.args[0] for call in calls if ast.unparse(call.func) == "self.run_worker"]
-    return [ast.unparse(each) for each in given if isinstance(each, ast.Call) and "self." in ast.unparse(each.func)]
+    given = [call.args[0] for call in calls if ast.unparse(call.func).endswith(".run_worker")]
+    made = [each for each in given if isinstance(each, ast.Call)]
+    return [ast.unparse(each) for each in made if ast.unparse(each.func) not in MADE_LATER]
 
 
 @pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
-def test_own_methods_are_workers_by_decorator(folder: Path) -> None:
-    sources = {path: path.read_text(encoding="utf-8") for path in folder.rglob("*.py")}
+def test_workers_get_functions(folder: Path) -> None:
+    files = (path for path in folder.rglob("*.py") if "tests" not in path.parts)
+    sources = {path: path.read_text(encoding="utf-8") for path in files}
     assert sources
-    assert {path: found for path, source in sources.items() if (found := own_coroutines(source))} == {}
+    assert {path: found for path, source in sources.items() if (found := coroutines(source))} == {}
 
 
-def test_own_coroutine_is_found() -> None:
-    source = "self.run_worker(self._ask(1), group='a')\nself.run_worker(other(self))\nself.app.run_worker(self.set())"
-    assert own_coroutines(source) == ["self._ask(1)"]
+def test_coroutine_is_found() -> None:
+    source = (
+        "self.run_worker(self._ask(1), group='a')\nself.app.run_worker(partial(other, self))\nself.run_worker(call)"
+    )
+    assert coroutines(source) == ["self._ask(1)"]
+
+
+@on_main()
+async def test_action_that_has_not_begun_leaves_no_coroutine(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    """Of an exclusive group, the second worker ends the first one before that has begun."""
+    done: list[int] = []
+
+    async def run(_screen: object, number: int) -> None:
+        done.append(number)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for number in range(2):
+            app.main.act(replace(BY_ID["sessions"], run=partial(run, number=number)))
+        await until(pilot, lambda: bool(done), "the second one")
+        gc.collect()
+    assert done == [1]

@@ -15,7 +15,7 @@ from textual._compositor import ChopsUpdate, LayoutUpdate
 from textual.geometry import Region, Size
 from textual.strip import Strip
 
-from rsb_console.terminal.screen_cells import FIRST, LAST, LINES, USUAL, ScreenCells
+from rsb_console.terminal.screen_cells import BOX, FIRST, LAST, LINES, USUAL, ScreenCells
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -38,6 +38,13 @@ pieces = st.lists(
         st.sampled_from(STYLES),
     ),
     max_size=6,
+)
+ranked = st.lists(
+    st.tuples(
+        st.sampled_from([Region(3, 1, 12, 3), Region(0, 0, SIZE.width, 2), Region(6, 0, 18, SIZE.height)]),
+        st.sampled_from([FIRST, BOX, LAST]),
+    ),
+    max_size=2,
 )
 
 
@@ -75,20 +82,23 @@ def _seen(char: pyte.screens.Char) -> tuple[object, ...]:
     return (char.data, *marks) if char.data == " " and not char.reverse else (char.data, *marks, char.fg, char.bold)
 
 
-@given(st.lists(pieces, min_size=1, max_size=5), st.integers(1, 60), st.booleans())
-def test_terminal_shows_what_was_drawn(turns: Sequence[Sequence[Piece]], most: int, erases: bool) -> None:
+@given(st.lists(st.tuples(pieces, ranked), min_size=1, max_size=5), st.integers(1, 60), st.booleans())
+def test_terminal_shows_what_was_drawn(
+    turns: Sequence[tuple[Sequence[Piece], Sequence[tuple[Region, int]]]], most: int, erases: bool
+) -> None:
     """In small frames, after several changes, it shows the same as after one frame of the last screen alone."""
     ours, whole = screen_cells(), screen_cells()
     ours.erases = erases
     by_frames, at_once = Emulator(), Emulator()
     ours.forget()
     whole.forget()
-    for turn in turns:
+    ranks: Sequence[tuple[Region, int]] = ()
+    for turn, ranks in turns:
         drawn(ours, *turn)
         drawn(whole, *turn)
-        by_frames.take(ours.next(most).text)
+        by_frames.take(ours.next(most, ranks).text)
     for _ in range(1000):
-        frame = ours.next(most)
+        frame = ours.next(most, ranks)
         by_frames.take(frame.text)
         if frame.lacks is None:
             break
@@ -260,6 +270,26 @@ def test_rest_of_a_screen_waits_unless_all_fits() -> None:
     assert ({y for y, *_ in frame.spans}, frame.lacks) == ({4}, USUAL)
     assert ours.next(60, ranks, rest_waits=True).text == ""
     assert ours.next(INF, ranks, rest_waits=True).lacks is None
+
+
+def test_text_in_the_place_of_a_picture_goes_before_the_picture_comes() -> None:
+    """A question that was answered would else stand there for as long as a slow line takes for the picture."""
+    ours, emulator, picture = screen_cells(), Emulator(), Region(1, 0, SIZE.width - 1, SIZE.height)
+    drawn(ours, *((y, 3, "y yes   n no", PLAIN) for y in range(SIZE.height)))
+    emulator.take(ours.next(INF, [(picture, USUAL)]).text)
+    drawn(ours, *((y, x, "▀", Style(color=f"#{x:02}4060")) for y in range(SIZE.height) for x in range(1, SIZE.width)))
+    shown = "yes"
+    frames = 0
+    while "yes" in shown:
+        emulator.take(ours.next(40, [(picture, LAST)]).text)
+        shown, frames = "".join(emulator.screen.display), frames + 1
+        assert "▀" not in shown
+    assert frames < SIZE.height
+    while (frame := ours.next(40, [(picture, LAST)])).lacks is not None:
+        assert "▀" in frame.text
+        emulator.take(frame.text)
+    emulator.take(frame.text)
+    assert all(line.count("▀") == picture.width for line in emulator.screen.display)
 
 
 def test_picture_waits_whose_cells_have_looks_of_their_own() -> None:

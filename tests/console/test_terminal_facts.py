@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import os
 import pty
+import re
 import threading
 from functools import reduce
 from pathlib import Path
 
+import pyte
 import pytest
 from textual.events import Key
 
 from rsb_console.terminal.driver import KeyParser
 from rsb_console.terminal.terminal_facts import (
+    QUESTIONS,
     TRUE_COLOUR,
     TerminalFacts,
     TerminalSettings,
@@ -35,6 +38,17 @@ KITTY = ("P>|kitty(0.26.5)\x1b\\", "[6;18;9t", "_Gi=31;OK\x1b\\", "[?62;c")
 
 def told(*answers: str) -> TerminalFacts:
     return reduce(TerminalFacts.told, answers, UNKNOWN)
+
+
+def test_questions_leave_the_look_of_the_last_frame() -> None:
+    """The next frame says only what differs: after a reset, cells of the same paper were black."""
+    screen = pyte.Screen(9, 1)
+    stream = pyte.Stream(screen)
+    stream.feed("\x1b[1;38;2;1;1;1;48;2;18;18;18ma")
+    stream.feed(re.sub("\x1b[P_][^\x1b]*\x1b\\\\|\x1b\\]4[^\x07]*\x07|\x1b\\[>q", "", QUESTIONS))  # pyte shows these
+    stream.feed("b")
+    assert screen.display == ["ab       "]
+    assert screen.buffer[0][1] == screen.buffer[0][0]._replace(data="b")
 
 
 def test_xterm_tells_true_colours() -> None:

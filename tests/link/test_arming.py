@@ -72,8 +72,8 @@ def stands(*sides: Side) -> list[bool]:
     return [route(side).arming.crossing(side.context.now()).flows for side in sides]
 
 
-def why(side: Side) -> str:
-    return events(side, EventCode.ROUTE_DISARMED)[-1].cause
+def why(side: Side, code: EventCode = EventCode.ROUTE_DISARMED) -> str:
+    return events(side, code)[-1].cause
 
 
 @pytest.mark.parametrize("at", [0, 1], ids=["on the robot", "on the control PC"])
@@ -252,7 +252,8 @@ def test_side_that_does_not_answer_leaves_it_disarmed(pair: Pair) -> None:
     turn(pair[0])
     assert isinstance(task.exception(), LinkError)
     assert passes(*pair) == [False, False]
-    assert why(pc) == Disarmed.NO_ANSWER
+    assert why(pc, EventCode.ROUTE_NOT_ARMED) == Disarmed.NO_ANSWER
+    assert not events(pc, EventCode.ROUTE_DISARMED)
 
 
 @pytest.mark.parametrize("at", [0, 1], ids=["armed on the robot", "armed on the control PC"])
@@ -540,8 +541,9 @@ def test_budget_of_armings_bounds_events_of_attempts(pair: Pair) -> None:
     robot.table.pause(route(robot), paused=True)
     for _ in range(100):
         robot.table.handle(Arm(route(robot).id, "a console"))
-    found = [each.cause for each in events(robot, EventCode.ROUTE_DISARMED)]
+    found = [each.cause for each in events(robot, EventCode.ROUTE_NOT_ARMED)]
     assert set(found) == {Disarmed.PAUSED}
+    assert not events(robot, EventCode.ROUTE_DISARMED)
     assert 1 < len(found) < 30
 
 
@@ -566,7 +568,7 @@ def test_link_with_long_round_trip_cannot_be_armed(pair: Pair) -> None:
     hear_all(pair)
     turn(pair[0])
     assert Disarmed.LINK_SLOW.text in str(task.exception())
-    assert why(pc) == why(robot) == Disarmed.LINK_SLOW
+    assert why(pc, EventCode.ROUTE_NOT_ARMED) == why(robot) == Disarmed.LINK_SLOW  # the robot had armed it
     assert stands(*pair) == [False, False]
 
 

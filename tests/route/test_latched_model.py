@@ -16,6 +16,7 @@ from tests.support.offline import FakePeer
 from tests.support.virtual_time import VirtualClock, VirtualLoop, virtual_loop
 
 from rsb_bridge.context import Context
+from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Session
 from rsb_bridge.ros.discovery import Discovery
@@ -1031,3 +1032,55 @@ def test_messages_that_waited_do_not_overrun_a_subscriber() -> None:
     assert far.heard == [b"%d" % number for number in range(1, count + 1)]
     assert max(after - before for before, after in zip(heard, heard[20:], strict=False)) <= depth  # in 20 ms
     assert len(heard) < 500  # ms
+
+
+@pytest.mark.parametrize("depths", [(2, 2), (5, 2)], ids=["one publisher", "depth found since"])
+def test_moved_topic_publishes_what_is_kept_once_more(depths: tuple[int, int]) -> None:
+    """And nothing that was never published, nor what its publisher on the sending side keeps no longer."""
+    with virtual_loop() as loop:
+        far, budget = FarDds(loop), Budget(1 << 30)
+        topic = LatchedTopic(loop, far.advertise, budget, depths[0], repeats=True)
+        writer = publisher_id(b"writer")
+        for number in range(1, 5):
+            look = None if number != 2 else lambda: Refused.DISARMED
+            assert topic.publish(HistoryHeader(writer, number, depths[0]), b"%d" % number, look)
+            loop.run_until_complete(asyncio.sleep(0.2))
+        topic.present({writer: depths[1]})
+        loop.run_until_complete(asyncio.sleep(1.0))
+        former, heard, held = [*far.open], [*far.heard], budget.held
+        assert topic.move()
+        assert topic.needs_sender  # until all is published
+        for _ in range(3):
+            loop.run_until_complete(asyncio.sleep(1.0))
+            topic.tick()
+        assert not topic.needs_sender
+        assert not {*former} & {*far.open}
+        assert far.heard[len(heard) :] == far.late_joiner()
+        assert set(far.late_joiner()) == ({b"3", b"4"} if depths[0] == 2 else {b"1", b"3", b"4"})
+        assert budget.held == held
+        assert not topic.publish(HistoryHeader(writer, 4, 2), b"4")
+        topic.close()
+        assert budget.held == 0
+
+
+def test_topic_that_cannot_move_stays() -> None:
+    with virtual_loop() as loop:
+        far, budget = FarDds(loop), Budget(PUBLISHER_COST + 10_000)
+        topic = LatchedTopic(loop, far.advertise, budget, 1, repeats=True)
+        assert topic.publish(HistoryHeader(publisher_id(b"writer"), 1, 1), b"x")
+        held = budget.held
+        with pytest.raises(LatchedFullError):
+            topic.move()
+        assert budget.held == held
+        assert far.late_joiner() == [b"x"]
+
+
+def test_topic_that_keeps_no_content_needs_its_sender_to_move() -> None:
+    with virtual_loop() as loop:
+        far = FarDds(loop)
+        topic = LatchedTopic(loop, far.advertise, Budget(1 << 30), 1)
+        assert topic.move()
+        assert topic.publish(HistoryHeader(publisher_id(b"writer"), 1, 1), b"x")
+        assert topic.needs_sender
+        assert not topic.move()
+        assert far.made == 2

@@ -127,7 +127,7 @@ class BaseLink:
         self.connections = 0
         self.via = ""  # device of this machine that carries the last connection, or empty if it is unknown
         self.linked_at = 0.0
-        self.is_looked_at = False
+        self.looked_at_there = False  # figures of this link, all the time, on the other side
         self.status = LinkStatus(context.clock.steady())
         self.bridges: tuple[str, ...] = ()
         """Names of the bridge nodes in the peer's domain, its own first; empty as long as they are unknown."""
@@ -164,6 +164,11 @@ class BaseLink:
             self.transforms = self.extensions.transforms
         self.handlers |= extension.messages
         return extension
+
+    @property
+    def is_looked_at(self) -> bool:
+        """Whether somebody looks at the figures of its routes all the time, here or there."""
+        return self.looked_at_there or self.context.is_looked_at()
 
     @property
     def changes(self) -> int:

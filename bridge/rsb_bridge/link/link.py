@@ -146,18 +146,14 @@ def _report(routes: Iterable[Route]) -> Report | None:
 
 
 class RouteReports(Extension):
-    """Exchanges the routes' counts with the peer once a second. Early ones go together, at most ten times a second.
-
-    Attributes:
-        looked_at_there: whether anybody looks at the figures all the time on the other side.
-    """
+    """Exchanges the routes' counts with the peer once a second. Early ones go together, at most ten times a second."""
 
     def __init__(self, link: Link) -> None:
         self.messages = {Report: self._receive, ReportParts: self._receive}
         self._link = link
         self._due: set[Route] = set()
         self._timer: asyncio.TimerHandle | None = None
-        self.looked_at_there = self._told_looked_at = False
+        self._link.looked_at_there = self._told_looked_at = False
 
     def add(self, route: Route) -> None:
         """Report a route within `_EARLY` s. May be called for every batch."""
@@ -209,7 +205,7 @@ class RouteReports(Extension):
 
     def disconnected(self) -> None:
         self._due.clear()
-        self.looked_at_there = self._told_looked_at = False
+        self._link.looked_at_there = self._told_looked_at = False
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
@@ -225,7 +221,6 @@ class RouteReports(Extension):
     def _news_of_looks(self) -> bool | None:
         """Return whether anybody looks all the time here, or None if the peer knows that."""
         looked_at = self._link.context.is_looked_at()
-        self._link.is_looked_at = looked_at or self.looked_at_there
         if looked_at is self._told_looked_at:
             return None
         self._told_looked_at = looked_at
@@ -233,8 +228,7 @@ class RouteReports(Extension):
 
     def _receive(self, report: Report | ReportParts) -> Slices:
         if report.looked_at is not None:
-            self.looked_at_there = report.looked_at
-            self._link.is_looked_at |= report.looked_at
+            self._link.looked_at_there = report.looked_at
         if report.full is not None:
             self._link.fullness.take_record(report.full)
         if report.path is not None:

@@ -446,7 +446,7 @@ class LinkArming:
         elif route.pausing.paused:
             why = Disarmed.PAUSED
             self._refuse(route, why)
-            route.log(Level.WARNING, EventCode.ROUTE_DISARMED, f"not armed: {why.text} ({who})", cause=why)
+            route.log(Level.WARNING, EventCode.ROUTE_NOT_ARMED, f"not armed: {why.text} ({who})", cause=why)
         else:
             self.lease.hold()  # first: a Lease goes right before Armed (PROTOCOL.md, 7.2)
             arming.arm_for_peer(who, now)

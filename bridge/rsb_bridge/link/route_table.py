@@ -491,7 +491,7 @@ class RouteTable(Extension):
             self._down_reason = link.down_reason
             for route in link.routes.values():
                 route.judge_again()
-        looked_at = link.is_looked_at or self._context.is_looked_at()  # the link finds out later in this second
+        looked_at = link.is_looked_at
 
         def tick(route: Route) -> None:
             link.guarded(lambda: tick_if_due(route, now, looked_at=looked_at))

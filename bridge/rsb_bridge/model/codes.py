@@ -171,6 +171,8 @@ class EventCode(StrEnum):
     """The topic's publisher here belongs to another mirrored node."""
     ROUTE_DISARMED = "route.disarmed"
     """A topic was disarmed by itself; `Event.cause` says why."""
+    ROUTE_NOT_ARMED = "route.not_armed"
+    """An operator asked to arm a topic, and one of the sides refused that or did not answer; `Event.cause` says why."""
     ROUTE_OTHER_END = "route.other_end"
     """The two sessions set different ends of an arming (`on_end`); the text names the one that the robot gets."""
     ROUTE_REFUSED = "route.refused"

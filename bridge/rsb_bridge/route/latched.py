@@ -4,7 +4,8 @@ Every publisher of the sending side has a publisher of its own here, which keeps
 itself. Between two publishers DDS has no order, so a history that still grows has one, as deep as any. A DDS
 publisher's depth cannot change: once the history's own is found, another publisher takes the messages from then on, and
 the deep one stays until all that it has are too old. Meanwhile late joiners get more than is kept on the sending side,
-in the order of chance. Nothing is published again, as present subscribers would hear it twice.
+in the order of chance. Nothing is published again, as present subscribers would hear it twice, unless the topic is to
+belong to another mirrored node: then all hear it from that, as they hear a node that is started again.
 
 A present subscriber misses none of them: it may discover a publisher here seconds late, and until it has, DDS may
 overwrite the publisher's messages or close it. So messages wait meanwhile, and a publisher is closed once its messages
@@ -68,6 +69,14 @@ class LatchedFullError(Exception):
         )
 
 
+class _Kept(NamedTuple):
+    """A message that DDS keeps for late joiners here."""
+
+    number: int
+    memory: int  # bytes that it takes
+    content: bytes  # or empty, if it is not to be published again
+
+
 @dataclass(slots=True, eq=False)
 class _OutputHistory:
     """A publisher here, and what it keeps. Times are in s."""
@@ -76,8 +85,7 @@ class _OutputHistory:
     depth: int
     made_at: float
     used_at: float  # when it was made, last published, or was retired
-    # Number of each message that it keeps, and size of its memory, oldest first.
-    kept: deque[tuple[int, int]] = field(default_factory=deque)
+    kept: deque[_Kept] = field(default_factory=deque)  # oldest first
     waiting: int = 0  # its messages that DDS does not have yet
     published: int = 0  # the others
     discovered: bool = False  # all subscribers have had a message of it, or had time to
@@ -128,6 +136,8 @@ class LatchedTopic:
         budget: Budget,
         depth: int,
         aside: Aside | None = None,
+        *,
+        repeats: bool = False,
     ) -> None:
         """Make a first publisher, so that the topic is there before its first message.
 
@@ -135,6 +145,7 @@ class LatchedTopic:
             advertise: makes a publisher with a depth; may raise RosError.
             depth: initial depth of a history, until its own has been found.
             aside: publishes long messages, which are published here otherwise.
+            repeats: whether messages are kept here, too, so that `move` can publish them once more.
 
         Raises:
             RosError: the publisher cannot be created.
@@ -144,6 +155,7 @@ class LatchedTopic:
         self._advertise = advertise
         self._budget = budget
         self._aside = aside
+        self._repeats = repeats
         self.is_busy = False
         self._histories: dict[bytes, _History] = {}
         self._retired: list[_OutputHistory] = []
@@ -171,22 +183,43 @@ class LatchedTopic:
     def has_kept(self) -> bool:
         return any(history.newest for history in self._histories.values())
 
+    @property
+    def needs_sender(self) -> bool:
+        """Whether only the sender can repeat what late joiners get."""
+        if self._repeats:
+            return self.is_busy or any(history.waiting for history in self._histories.values())
+        return self.has_kept
+
     def move(self) -> bool:
-        """Have a publisher that belongs to another node, unless messages are kept: only the sender can repeat them.
+        """Have publishers that belong to another node, and publish there what is kept, unless that needs the sender.
 
         Raises:
             RosError, LatchedFullError: there can be none.
         """
-        if self.has_kept:
+        if self.needs_sender:
             return False
+        moved: dict[_OutputHistory, _OutputHistory] = {}
+        try:
+            for former in self._outputs():
+                moved[former] = self._new_output(former.depth)
+                # Once more until they are published: `_next_waiting` gives that back.
+                self._take(sum(each.memory + len(each.content) for each in former.kept))
+                moved[former].kept.extend(former.kept)
+        except (RosError, LatchedFullError):
+            for output in moved.values():
+                self._budget.give(sum(len(each.content) for each in output.kept))
+                self._close(output)
+            raise
         if self._spare is not None:
-            former, self._spare = self._spare, None
-            try:
-                self._spare = self._output(former.depth)
-            except (RosError, LatchedFullError):
-                self._spare = former
-                raise
-            self._retire([former])
+            self._spare = moved[self._spare]
+        for history in self._histories.values():
+            history.outputs = [moved[output] for output in history.outputs]
+            for output in history.outputs:
+                contents = [each.content for each in output.kept if each.content]
+                output.waiting = len(contents)
+                history.waiting.extend(_Message(output, content, None, _ignored) for content in contents)
+        self._retire(moved)
+        self._look_again()
         return True
 
     def close(self) -> None:
@@ -283,12 +316,13 @@ class LatchedTopic:
         # Only now, as a history without outputs would have the spare publisher closed, the topic's last one.
         self._histories[header.publisher] = history
         # The message that gives way leaves its memory, so that a full publisher costs no more than before.
-        evicted = output.kept[0][1] if output.full else 0
-        memory = max(len(content) + MESSAGE_COST, evicted)  # DDS uses it again, and never makes it smaller
+        evicted = output.kept[0].memory if output.full else 0
+        # DDS uses it again, and never makes it smaller.
+        memory = max(len(content) * (2 if self._repeats else 1) + MESSAGE_COST, evicted)
         self._take(memory - evicted + (len(content) if waits else 0))
         if output.full:
             output.kept.popleft()
-        output.kept.append((number, memory))
+        output.kept.append(_Kept(number, memory, content if self._repeats else b""))
         history.newest = number
         message = _Message(output, content, look, dropped)
         if waits:
@@ -308,7 +342,7 @@ class LatchedTopic:
 
     def _drop_older(self, history: _History, number: int) -> None:
         """Drop the outputs of a history all of whose messages have that number or an older one."""
-        kept = [output for output in history.outputs if not output.kept or output.kept[-1][0] > number]
+        kept = [output for output in history.outputs if not output.kept or output.kept[-1].number > number]
         if len(kept) < len(history.outputs):
             self._retire(output for output in history.outputs if output not in kept)
             history.outputs = kept
@@ -327,6 +361,9 @@ class LatchedTopic:
         if spare is not None and spare.depth == depth:
             self._spare = None
             return spare
+        return self._new_output(depth)
+
+    def _new_output(self, depth: int) -> _OutputHistory:
         self._take(PUBLISHER_COST)
         now = self._loop.time()
         try:
@@ -352,11 +389,11 @@ class LatchedTopic:
 
     def _close(self, output: _OutputHistory) -> None:
         output.publisher.close()
-        self._budget.give(PUBLISHER_COST + sum(size for _, size in output.kept))
+        self._budget.give(PUBLISHER_COST + sum(each.memory for each in output.kept))
         output.kept.clear()
 
     def _publish(self, history: _History, message: _Message) -> None:
-        output, content, look, dropped = message
+        output, content, look, _ = message
         if len(content) > PUBLISHED_ASIDE and self._aside is not None:
             self.is_busy = True
             output.waiting += 1
@@ -371,7 +408,7 @@ class LatchedTopic:
             except RosError as error:
                 why = error
         if why is not None:
-            dropped(why)
+            self._refused(message, why)
 
     def _published(self, history: _History, message: _Message, why: Refused | RosError | None) -> None:
         self.is_busy = False
@@ -381,7 +418,16 @@ class LatchedTopic:
             history.last, output.used_at = output, self._loop.time()
             output.published += 1
         else:
-            message.dropped(why)
+            self._refused(message, why)
+
+    @staticmethod
+    def _refused(message: _Message, why: Refused | RosError) -> None:
+        """Tell why a message was not published, which it is not to be by another publisher either."""
+        kept = message.output.kept
+        for place, each in enumerate(kept):
+            if each.content is message.content:
+                kept[place] = each._replace(content=b"")
+        message.dropped(why)
 
     def _is_next(self, history: _History, output: _OutputHistory, now: float) -> bool:
         """Whether the next message may be published: all subscribers will hear it, after other outputs' messages."""

@@ -56,8 +56,6 @@ class Peer(Protocol):
     is_client: bool
     budget: PeerBudget
     revisions: Revisions
-    is_looked_at: bool
-    """Whether somebody has looked at the figures of its routes all the time, here or there, in the last second."""
     clock: ClockOffset
     stamps: ClockOffset
     """Offset of the clock by which the peer stamps messages."""
@@ -75,6 +73,10 @@ class Peer(Protocol):
 
     @property
     def linked(self) -> bool: ...
+
+    @property
+    def is_looked_at(self) -> bool:
+        """Whether somebody looks at the figures of its routes all the time, here or there."""
 
     @property
     def instance(self) -> str:

@@ -236,7 +236,7 @@ class Receiver:
         return (EndPlace("publisher", self.route.remote_topic, self.route.peer.name),)
 
     def move(self) -> bool:
-        if self.outputs.has_kept and not (self.route.id and self.route.peer.linked):
+        if self.outputs.needs_sender and not (self.route.id and self.route.peer.linked):
             return False  # nobody would repeat what late joiners get
         try:
             repeated = not self.outputs.move()

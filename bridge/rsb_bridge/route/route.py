@@ -22,7 +22,7 @@ from rsb_bridge.model.snapshot import Level, RouteSnapshot, State
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.verdict import FINE, Cause
 from rsb_bridge.route.age import MessageAge
-from rsb_bridge.route.arming import AGREED, Arming, Disarmed, Settling
+from rsb_bridge.route.arming import AGREED, Arming, ArmingPhase, Disarmed, Settling
 from rsb_bridge.route.blocking_rules import LossyPath, judge, stays_fine
 from rsb_bridge.route.combined_verdict import CombinedVerdict
 from rsb_bridge.route.crossing import Crossing
@@ -374,7 +374,10 @@ class Route:
         if arming.phase in AGREED and self.outgoing and lease is not None:
             self.settling.begin(self.id, lease.left)
         # `LinkArming` records an operator's disarm. Other causes are logged once nothing is published any more.
-        if why is not Disarmed.OPERATOR:
+        if arming.phase is ArmingPhase.ASKED and why is not Disarmed.OPERATOR:
+            text = f"not armed: {reason or why.text} ({arming.by})"
+            self.log(Level.WARNING, EventCode.ROUTE_NOT_ARMED, text, cause=why)
+        elif why is not Disarmed.OPERATOR:
             text = f"disarmed: {reason or why.text} ({arming.by} armed it)"
             self.settling.then(lambda: self.log(Level.WARNING, EventCode.ROUTE_DISARMED, text, cause=why))
         arming.end(why, reason)

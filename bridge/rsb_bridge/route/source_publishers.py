@@ -12,7 +12,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import KEPT_DEPTH, LATCHED_DEPTH
 from rsb_bridge.model.qos import AUTO_DEPTH
 from rsb_bridge.ros.announcements import Origin
-from rsb_bridge.ros.ros_interface import Endpoint, RosError
+from rsb_bridge.ros.ros_interface import EndPlace, Endpoint, RosError
 from rsb_bridge.route.latched import MESSAGE_COST, LatchedFullError, LatchedTopic
 from rsb_bridge.route.peer_budget import TypeUse
 
@@ -327,7 +327,9 @@ class _SourcePublisher:
         depth, budget = spec.qos.depth, route.peer.budget
         if spec.qos.latched:
             aside = unpacker.publish_latched if route.purpose.in_graph else None
-            self.sink = LatchedTopic(context.loop, self._advertise, budget.kept, depth, aside)
+            node = context.ros.mirrors.node_of(EndPlace("publisher", spec.topic, route.peer.name))
+            repeats = node != "" and not spec.qos.lifespan  # what is too old would be new once more
+            self.sink = LatchedTopic(context.loop, self._advertise, budget.kept, depth, aside, repeats=repeats)
         else:
             keeps_all = spec.qos.history == "keep_all"
             burst = depth == 0 and not keeps_all and spec.qos.reliability == "reliable"
@@ -524,6 +526,11 @@ class SourcePublishers:
     @property
     def has_kept(self) -> bool:
         return any(topic.has_kept for topic in self._latched())
+
+    @property
+    def needs_sender(self) -> bool:
+        """Whether only the sender can repeat what late joiners get."""
+        return any(topic.needs_sender for topic in self._latched())
 
     def present(self, publishers: Mapping[bytes, int]) -> None:
         """Take the publishers that the sending side has now, and their depths as far as it has found them."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import KW_ONLY, dataclass
 from enum import StrEnum
+from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -180,15 +181,30 @@ class Action:
 _late_modules: dict[str, None] = {}
 
 
+class _Late:
+    def __init__(self, place: str) -> None:
+        self._module, self._name = place.split(":")
+        _late_modules[self._module] = None
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self.function(*arguments)
+
+    @property
+    def function(self) -> Callable[..., Any]:
+        function: Callable[..., Any] = getattr(import_module(self._module), self._name)
+        return function
+
+
 def late(place: str) -> Callable[..., Any]:
     """Return a function, ``package.module:function``, that is imported once it is called, to keep the start short."""
-    module, name = place.split(":")
-    _late_modules[module] = None
+    return _Late(place)
 
-    def call(*arguments: Any) -> Any:
-        return getattr(import_module(module), name)(*arguments)
 
-    return call
+def call_of(function: Callable[..., Any], *arguments: Any) -> partial[Any]:
+    """Return a call to come, for a worker: of a `late` function, which is imported now, as of any other."""
+    if isinstance(function, partial):
+        return partial(call_of(function.func), *function.args, *arguments, **function.keywords)
+    return partial(function.function if isinstance(function, _Late) else function, *arguments)
 
 
 def late_modules() -> tuple[str, ...]:

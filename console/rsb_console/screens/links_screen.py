@@ -26,7 +26,7 @@ from rsb_console.widgets.selectable_list import SelectableList
 from rsb_console.widgets.topics import TopicsTable, state_order
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Awaitable, Callable, Iterable, Iterator
 
     from textual import events
     from textual.app import App, ComposeResult
@@ -245,7 +245,11 @@ class LinksScreen(ModalScreen[None]):
             return
         event.stop()
         if self.table.is_seen():
-            self.run_worker(action.on_link(self.console, link), group=DIALOG)
+            self._act(action.on_link, link)
+
+    @work(group=DIALOG)
+    async def _act(self, on_link: Callable[[Any, LinkSnapshot], Awaitable[None]], link: LinkSnapshot) -> None:
+        await on_link(self.console, link)
 
     def action_open(self) -> None:
         if self.table.selected is not None:

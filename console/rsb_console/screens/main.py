@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from inspect import iscoroutinefunction
 from typing import TYPE_CHECKING
 
 from textual import events, on
@@ -11,7 +12,7 @@ from textual.screen import Screen
 
 from rsb_bridge.model.snapshot import Level, State
 from rsb_bridge.model.wording import Wording
-from rsb_console.actions.action import NAMESPACE, FooterEntry, Group
+from rsb_console.actions.action import NAMESPACE, FooterEntry, Group, call_of
 from rsb_console.actions.all_actions import BY_ID, bindings
 from rsb_console.terminal.input_queue import SEEN_AFTER
 from rsb_console.widgets.bars import BarState, KeyBar, KeyEntry, StatusBar, state_counts, warning_count
@@ -145,10 +146,12 @@ class MainScreen(Screen[None]):
             if not (action.stops is not None and action.stops(self)) and not self.topics.is_seen():
                 return
             self.topics.hold()  # the next key is for the same topic, wherever its new state puts it
-        doing = action.run(self)
-        if doing is not None:
+        call = call_of(action.run, self)
+        if iscoroutinefunction(call.func):
             # Another choice of a session replaces one that waits in a dialog.
-            self.run_worker(doing, group=action.group, exclusive=action.group is Group.SESSION)
+            self.run_worker(call, group=action.group, exclusive=action.group is Group.SESSION)
+        else:
+            call()
 
     def compose(self) -> ComposeResult:
         yield self.status

@@ -9,7 +9,7 @@ Source of the sequences: ECMA-48 (CUP, CUF, CUD, ECH, SGR).
 from __future__ import annotations
 
 from functools import lru_cache
-from itertools import pairwise
+from itertools import groupby, islice, pairwise
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from rich.cells import get_character_cell_size, split_graphemes
@@ -88,6 +88,7 @@ class CellRun(NamedTuple):
 
     Attributes:
         look: of all of them; of a picture's, only the last one's.
+        blanks: whether they are made blank, until what they lack comes.
     """
 
     rank: int
@@ -95,6 +96,7 @@ class CellRun(NamedTuple):
     left: int
     right: int
     look: CellLook
+    blanks: bool = False
 
 
 class ScreenFrame(NamedTuple):
@@ -126,6 +128,8 @@ class ScreenCells:
         self.erases = False
         self._wanted: list[list[Cell]] = []
         self._shown: list[list[Cell | None]] = []
+        self._texts: list[list[bool]] = []
+        """Whether the terminal's cells were written as text: not as a picture's."""
         self._changed: set[int] = set()
         self._begin_at = _TOP
         """The rank, row and column with which the next frame begins: where the last one ended, if it was cut short."""
@@ -137,6 +141,7 @@ class ScreenCells:
         if (size.height, size.width) != (len(self._wanted), len(self._wanted[0]) if self._wanted else 0):
             self._wanted = [[_blank(_OWN)] * size.width for _ in range(size.height)]
             self._shown = [[None] * size.width for _ in range(size.height)]
+            self._texts = [[False] * size.width for _ in range(size.height)]
             self._changed = set(range(size.height))
             self._begin_at = _TOP
 
@@ -199,13 +204,18 @@ class ScreenCells:
 
         pen, spans, doubted = _Pen(most, self._look, erases=self.erases), [], set()
         runs = [*self._runs(ranks)]
-        waiting = [run for run in runs if run.rank > LINES] if rest_waits and self._size(runs) > most else []
+        fits = self._size(runs) <= most
+        waiting = [] if fits or not rest_waits else [run for run in runs if run.rank > LINES]
+        if not fits:
+            runs += self._remains(runs, [region for region, rank in ranks if rank == LAST])
         if waiting:
             runs = [run for run in runs if run.rank <= LINES]
         for run in self._in_order(runs, most):
-            written = pen.write(self._wanted[run.row], run)
+            row = [_blank(run.look)] * run.right if run.blanks else self._wanted[run.row]
+            written = pen.write(row, run)
             self._look = pen.look
-            self._shown[run.row][run.left : written] = cells = self._wanted[run.row][run.left : written]
+            self._shown[run.row][run.left : written] = cells = row[run.left : written]
+            self._texts[run.row][run.left : written] = [run.rank != LAST and not run.blanks] * len(cells)
             if (more := _more_cells(cells)) and written < len(self._wanted[run.row]):
                 self.forget(Region(written, run.row, more, 1))
                 doubted.add(run.row)
@@ -219,6 +229,19 @@ class ScreenCells:
             return ScreenFrame(pen.text, spans, min(run.rank for run in waiting))
         self._changed = doubted
         return ScreenFrame(pen.text, spans, USUAL if doubted else None)
+
+    def _remains(self, runs: Sequence[CellRun], pictures: Sequence[Region]) -> Iterator[CellRun]:
+        """Yield texts in the place of a picture that will take long, such as a question that was answered."""
+        for _, y, left, right, _, _ in filter(lambda run: run.rank == LAST, runs):
+            edge = next(each.x for each in pictures if each.contains(left, y)) - 1
+            look = CellLook("", "", self._wanted[y][edge].look.paper if edge >= 0 else _OWN_PAPER)
+            remains = (is_text and self._shown[y][x] != _blank(look) for x, is_text in enumerate(self._texts[y]))
+            begin = left
+            for are, cells in groupby(islice(remains, left, right)):
+                end = begin + len([*cells])
+                if are:
+                    yield CellRun(LINES, y, begin, end, look, blanks=True)
+                begin = end
 
     def _size(self, runs: Sequence[CellRun]) -> int:
         """Return the bytes of runs, about, if they are written look by look; each cell of a picture has its own."""

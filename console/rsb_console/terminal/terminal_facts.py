@@ -38,7 +38,9 @@ BACKGROUND: Final = "\x1b]11;?\x07"
 QUESTIONS: Final = (
     "\x1b[>q"  # XTVERSION
     "\x1b]4;200;?\x07"  # a colour of the palette that only 256 have
-    "\x1b[48;2;1;2;3m\x1bP$qm\x1b\\\x1b[m"  # DECRQSS: the present colours, which are a true one
+    # DECRQSS: the present colours, which are a true one. Those of the last frame come back, as the next one counts on
+    # them (`screen_cells`).
+    "\x1b7\x1b[48;2;1;2;3m\x1bP$qm\x1b\\\x1b8"
     "\x1b[16t"  # pixels of a cell
     "\x1b_Gi=31,s=1,v=1,a=q,t=d,f=24;AAAA\x1b\\"  # whether kitty's graphics could show a pixel
     "\x1b[c"  # DA1, last: everyone answers it

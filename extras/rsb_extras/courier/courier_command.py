@@ -256,8 +256,13 @@ def _wait(engine: RemoteEngine, arguments: Namespace, name: str) -> int:
 
 
 def bar_text(fetch: FetchReport) -> str:
-    full = round(fetch.share * _BAR)
-    return f"[{'#' * full}{'.' * (_BAR - full)}] {fetch_text(fetch)}"
+    return f"{progress_bar(fetch, _BAR)} {fetch_text(fetch)}"
+
+
+def progress_bar(fetch: FetchReport, cells: int) -> str:
+    """Return a bar, which is full only once all has come."""
+    full = int(fetch.share * cells)
+    return f"[{'#' * full}{'.' * (cells - full)}]"
 
 
 def _tell(engine: RemoteEngine, arguments: Namespace, fetch: FetchReport) -> int:

@@ -10,7 +10,7 @@ from rsb_bridge.feature_api import EngineError, Wording
 from rsb_bridge.model.verdict import duration
 from rsb_console.feature_console import TileLines, side_of
 from rsb_console.notation.formats import byte_count
-from rsb_extras.courier.courier_command import NOTHING, pace_texts
+from rsb_extras.courier.courier_command import NOTHING, pace_texts, progress_bar
 from rsb_extras.courier.courier_records import has_date
 from rsb_extras.courier.courier_requests import FetchState, ListFetches, NewestRecordings
 from rsb_extras.courier.courier_screen import FETCH_LOOKS
@@ -98,8 +98,7 @@ def _fetch_lines(fetches: Sequence[FetchReport]) -> Iterator[Line]:
         if fetch.state is FetchState.FAILED:
             yield ((f" {fetch.reason}", look),)
         else:
-            full = int(fetch.share * _BAR)
-            yield ((f" [{'#' * full}{'.' * (_BAR - full)}] ", look), (", ".join(_progress(fetch)), ""))
+            yield ((f" {progress_bar(fetch, _BAR)} ", look), (", ".join(_progress(fetch)), ""))
 
 
 def _progress(fetch: FetchReport) -> Iterator[str]:

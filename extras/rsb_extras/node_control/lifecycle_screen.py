@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from textual import work
 from textual.binding import Binding
@@ -31,7 +31,7 @@ from rsb_extras.node_control.lifecycle_rows import NOTHING, LifecycleRow, Lifecy
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from textual.app import ComposeResult
+    from textual.app import App, ComposeResult
 
     from rsb_bridge.feature_api import EngineApi
     from rsb_console.feature_console import Console, Line, MainScreen
@@ -201,10 +201,13 @@ class LifecycleScreen(SidesScreen["ManagedSide"]):
         question = ConfirmScreen(title, means, command.action.capitalize(), Effect.MOVES | Effect.LOSES)
         if await self.console.ask(question) is True and (engine := self.console.engine) is not None:
             # Not in this worker, for which keys wait, nor of this screen, which may be closed before the end.
-            self.app.run_worker(_change(self, engine, row, command), group="node-changes")
+            _change(self.app, self, engine, row, command)
 
 
-async def _change(screen: LifecycleScreen, engine: EngineApi, row: LifecycleRow, command: ChangeNodes) -> None:
+@work(group="node-changes")
+async def _change(
+    _: App[Any], screen: LifecycleScreen, engine: EngineApi, row: LifecycleRow, command: ChangeNodes
+) -> None:
     """Wait for the end of a change. Its steps stand below the list; without that, a message says how it has ended."""
     try:
         outcome = await asyncio.wrap_future(engine.do(command))

@@ -6,7 +6,7 @@ import asyncio
 import textwrap
 import time
 from functools import partial
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 from textual import work
 from textual.binding import Binding
@@ -38,7 +38,7 @@ from rsb_extras.node_control.parameter_rules import ParameterChange, ParameterTe
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from textual.app import ComposeResult
+    from textual.app import App, ComposeResult
 
     from rsb_bridge.feature_api import EngineApi
     from rsb_console.feature_console import Console
@@ -233,7 +233,7 @@ class ParametersScreen(FilteredScreen[None]):
             return
         if (engine := self.console.engine) is not None:
             # Not in this worker, for which keys wait, nor of this screen, which may be closed before the end.
-            self.app.run_worker(self.set(engine, change), group="node-changes")
+            _set(self.app, self, engine, change)
 
     async def set(self, engine: EngineApi, change: ParameterChange) -> None:
         """Have the node set a value, say how that has ended, and read all again."""
@@ -253,6 +253,11 @@ class ParametersScreen(FilteredScreen[None]):
 
     def _warn(self, text: str) -> None:
         self.console.notify(text, severity="warning", markup=False, timeout=8)
+
+
+@work(group="node-changes")
+async def _set(_: App[Any], screen: ParametersScreen, engine: EngineApi, change: ParameterChange) -> None:
+    await screen.set(engine, change)
 
 
 async def parameters_of_node(console: Console, link: str, node: str) -> None:

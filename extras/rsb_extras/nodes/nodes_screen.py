@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from textual.app import ComposeResult
 
     from rsb_bridge.feature_api import LinkSnapshot, RouteSnapshot
-    from rsb_console.feature_console import Console
+    from rsb_console.feature_console import Console, OnNode
     from rsb_extras.nodes.node_data import NodeDetails, NodeState
 
 _RENEWED_EVERY = 1.0  # s; the bridges ask each other as often
@@ -253,7 +253,11 @@ class NodesScreen(FilteredScreen[str | None]):
         """Do another feature's action on the node under the cursor."""
         node = self.table.cursor_key or ""
         if node in self.feed.book.nodes and self.table.is_seen():
-            self.run_worker(ON_NODE[name].run(self.console, self.feed.side or "", node), group=DIALOG)
+            self._act_on_node(ON_NODE[name], node)
+
+    @work(group=DIALOG)
+    async def _act_on_node(self, action: OnNode, node: str) -> None:
+        await action.run(self.console, self.feed.side or "", node)
 
     def on_selectable_list_chosen(self) -> None:
         self.action_open()

@@ -44,6 +44,9 @@ _LOOKS = {
 """The theme's look of each style of a picture that has another name there."""
 _TRIES, _LOOK_EVERY = 100, 0.02
 """Looks whether a terminal that lags has the picture, 2 s in all, and s between them. Round figures."""
+_IMAGE_WITHIN = 2.0
+"""s of the line that an image in pixels may take. Nothing overtakes it: neither a key's effect nor what the robot does.
+A line that is faster than known shows a coarser image first, which tells its rate."""
 _COVERED_EVERY = 0.1
 """s between two looks for what stands on an image: a message that comes is hidden for so long at most."""
 
@@ -66,6 +69,8 @@ class PicturePane(Widget, can_focus=True):
         """Whether the newest image waits for the terminal."""
         self.image_bytes = 0
         """Bytes of the newest image to the terminal."""
+        self._is_left_out = False
+        """Whether it was too large for the line, so that the one before stays in sight."""
 
     class Clicked(TextualMessage):
         """A cell was clicked."""
@@ -100,12 +105,13 @@ class PicturePane(Widget, can_focus=True):
         """Show rows of characters; only those that differ are drawn."""
         yield_gil()
         self.take_image_away()
+        self._is_left_out = False
         self._show_rows(rows)
 
     async def show_image(
         self, image: Pixels, wish: Wish, blocks: Callable[[], list[Row]], *, few_colours: bool = False
     ) -> None:
-        """Show an image in pixels.
+        """Show an image in pixels, unless it would take the line too long.
 
         Args:
             wish: gives the area and the shape of its cells.
@@ -120,9 +126,14 @@ class PicturePane(Widget, can_focus=True):
         cell, paper, before = facts.cell or USUAL_CELL, self._paper.background, self._bands
         frame, first_id = frame_of(image, wish), painter.first_id
         make = partial(bands_of, image, frame, cell, facts.pixels, first_id, paper, before, few_colours=few_colours)
-        self._bands, self._frame = await asyncio.to_thread(make), frame
-        self._owes = True
-        self._covered = self._rows_under_boxes()
+        bands = await asyncio.to_thread(make)
+        covered = self._rows_under_boxes(frame)
+        new = (each for each in bands if not (each.is_under(covered) or any(each is band for band in before)))
+        self.image_bytes = sum(len(each.sequence) for each in new)
+        self._is_left_out = self.image_bytes > _IMAGE_WITHIN * self.terminal.writer.line.rate
+        if self._is_left_out:
+            return
+        self._bands, self._frame, self._covered, self._owes = bands, frame, covered, True
         hidden = {row for band in self._bands if band.is_under(self._covered) for row in band.range}
         rows = await asyncio.to_thread(blocks) if hidden else []
         # Characters below pixels would be sent for nothing, and sixels once more, as they go with characters on them.
@@ -150,7 +161,7 @@ class PicturePane(Widget, can_focus=True):
             return
         if not self.terminal.writer.is_free:
             return  # it is called again in a moment
-        before, self._covered = self._covered, self._rows_under_boxes()
+        before, self._covered = self._covered, self._rows_under_boxes(self._frame)
         if self._losses != self.terminal.losses:
             self._losses = self.terminal.losses
             self._painter.lost()
@@ -160,8 +171,7 @@ class PicturePane(Widget, can_focus=True):
             return
         sequence = self._painter.painted(self._bands, (at.x, at.y), self._covered)
         self.terminal.write_to_terminal(sequence)
-        if self._owes:
-            self._owes, self.image_bytes = False, len(sequence)
+        self._owes = False
         if self._covered != before:
             self.cover_changed()
 
@@ -169,18 +179,19 @@ class PicturePane(Widget, can_focus=True):
         """Send the image again where text was drawn: for a box on the screen, Textual often draws all that is below."""
         if self._painter is None or not self._bands:
             return
-        image = self._image_region
+        image = self._region_of(self._frame)
         rows = {y - image.y for y, left, right in spans if image.overlaps(Region(left, y, right - left, 1))}
         if rows:
             self._painter.overwritten(rows)
             self._paint()
 
-    async def is_taken(self) -> None:
-        """Wait until the terminal has the picture, but not for long."""
+    async def is_taken(self) -> bool:
+        """Wait until the terminal has the picture, but not for long; return whether it has."""
         for _try in range(_TRIES):
             await asyncio.sleep(_LOOK_EVERY)
             if not self._owes and self.terminal.writer.is_free:
-                return
+                return not self._is_left_out
+        return False
 
     def take_image_away(self) -> None:
         self._bands, self._owes = [], False
@@ -195,18 +206,17 @@ class PicturePane(Widget, can_focus=True):
     def cover_changed(self) -> object:
         """Called when other rows of an image are covered, which need characters."""
 
-    def _rows_under_boxes(self) -> frozenset[int]:
-        """Return the rows of the image on which something else stands."""
+    def _rows_under_boxes(self, frame: Extent) -> frozenset[int]:
+        """Return the rows of an image on which something else stands."""
         if not self.display or self.screen not in self.app.screen_stack:
-            return frozenset(range(self._frame.rows))
-        image = self._image_region
+            return frozenset(range(frame.rows))
+        image = self._region_of(frame)
         # A box beside it has an intersection, too, which is as high as both, and 0 wide.
         boxes = filter(image.overlaps, self._boxes())
         return frozenset(y - image.y for box in boxes for y in image.intersection(box).line_range)
 
-    @property
-    def _image_region(self) -> Region:
-        return Region(*self.content_region.offset, self._frame.columns, self._frame.rows)
+    def _region_of(self, frame: Extent) -> Region:
+        return Region(*self.content_region.offset, frame.columns, frame.rows)
 
     def _boxes(self) -> Iterator[Region]:
         stack = self.app.screen_stack

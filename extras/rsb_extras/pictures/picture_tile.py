@@ -214,8 +214,8 @@ class PictureTile(Tile):
             self._waiting = picture.waiting
             await self._show_content()
             came = self._viewed, self._came
-            await self.is_taken()
-            self._on_terminal = came
+            if await self.is_taken():
+                self._on_terminal = came
             if self._look.spare():
                 self.fit()
 

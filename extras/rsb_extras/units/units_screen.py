@@ -152,9 +152,10 @@ class UnitsScreen(SidesScreen["UnitGroup"]):
             self.results[row.key] = action, None
             self.show_outcome()
             # Not in this worker, for which keys wait, nor of this screen, which may be closed before the end.
-            self.main.run_worker(_control(self.main, engine, row, action), group="unit-actions")
+            _control(self.main, engine, row, action)
 
 
+@work(group="unit-actions")
 async def _control(main: MainScreen, engine: EngineApi, row: UnitRow, action: UnitAction) -> None:
     """Wait for the end of an action, and show it: below the list, or without one in a message."""
     results = _results[engine]

@@ -10,7 +10,7 @@ import rclpy
 from lifecycle_msgs.srv import GetState
 from rclpy.parameter_client import AsyncParameterClient
 from std_srvs.srv import Trigger
-from tests.support.bridge import happened, is_accepted, link, linked, reloaded
+from tests.support.bridge import happened, is_accepted, link, linked, reloaded, route
 from tests.support.domain import LATCHED
 from tests.support.inside import inside
 from tests.support.places import Place
@@ -195,22 +195,27 @@ def test_hidden_nodes_are_not_mirrored(bridge: Bridge, far: FarProgram, pc: Doma
 
 
 def test_lost_link_ends_them_with_its_association(bridge: Bridge, far: FarProgram, pc: Domain) -> None:
-    """But not what is latched: late joiners get that, as they do without mirrored nodes."""
+    """What is latched stays for late joiners, on whichever node, and does not cross again."""
     server = bridge.server(outlive=0, **ON)
     client = bridge.client(*TOPICS, outlive=0)
     pc.publisher("/speed")
     eventually(lambda: info(pc, LIDAR) == ({"/scan", "/plan"}, {"/speed"}, {"/front/reset"}), what="the lidar")
     eventually(lambda: CAMERA in names(pc), what="the camera")
+    present = pc.listener("/plan", qos=LATCHED)
+    eventually(lambda: present.texts(1) == ["the plan"], what="the latched message")
     client.stop()
-    eventually(lambda: CAMERA not in names(pc), what="its end")
-    eventually(lambda: info(pc, LIDAR) == ({"/plan"}, set(), set()), what="what is left of the lidar")
+    eventually(lambda: stand_here(server), what="their end")
+    eventually(lambda: not {LIDAR, CAMERA} & {*names(pc)}, what="their end as others see it")
     late = pc.listener("/plan", qos=LATCHED)
-    eventually(lambda: late.texts(1) == ["the plan"], what="the latched message")
-    bridge.client(*TOPICS)
+    eventually(lambda: late.texts(1) == ["the plan"], what="the latched message, of the bridge's own node")
+    returned = bridge.client(*TOPICS)
     eventually(lambda: info(pc, LIDAR) == ({"/scan", "/plan"}, {"/speed"}, {"/front/reset"}), what="its return")
     eventually(lambda: CAMERA in names(pc), what="the camera")
     assert names(pc).count(LIDAR) == 1
+    later = pc.listener("/plan", qos=LATCHED)
+    eventually(lambda: later.texts(1) == ["the plan"], what="the latched message, of the lidar")
     assert happened(server, EventCode.ROUTE_MOVED) is None
+    assert route(returned, "/plan").ledger.offered == 0
 
 
 def on_loop(found: Link, work: Callable[[], None]) -> None:

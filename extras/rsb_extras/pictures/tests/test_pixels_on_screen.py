@@ -331,7 +331,7 @@ async def test_proportions_hold_while_line_is_slow(
     cell, name = (7.0, 15.0), "kitty"
     written = await in_pixels(pilot, "kitty", cell, name)
 
-    replaced.NO_LINE.set(monkeypatch, TerminalLine(rate=100.0))
+    replaced.NO_LINE.set(monkeypatch, TerminalLine(rate=2_000.0))
     wish = looks(engine_of(app))[-1][1]
     if covered:
         await app.push_screen(Box(Region(0, 0, *app.size)))
@@ -500,3 +500,27 @@ async def test_terminal_without_pixels_asks_for_no_finer_map(app: ConsoleApp, pi
 
 def title(app: ConsoleApp) -> str:
     return str(pane_of(app).border_title)
+
+
+@on_list
+async def test_image_that_would_fill_the_line_is_not_sent(
+    app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A coarser one is asked for instead. Until one comes, no picture is in sight by which to drive."""
+    replaced.NO_LINE.set(monkeypatch, TerminalLine(rate=2_000.0))
+    written = await in_pixels(pilot)
+    asked = looks(engine_of(app))[-1][1]
+    wish = await comes(pilot, viewed(full_of(asked)))
+    assert (wish.across, wish.down) < (asked.across, asked.down)
+    assert not written.shown()
+    sight = pane_of(app).sight()
+    assert sight is not None
+    assert sight.age is None
+    await comes(pilot, viewed(halves(8, 6, 255)))
+    await until(pilot, lambda: len(written.shown()) == bands(app), "a small image")
+    await until(pilot, lambda: (seen := pane_of(app).sight()) is not None and seen.age is not None, "its age")
+
+
+def full_of(wish: Wish) -> Pixels:
+    """Return an image of as many pixels as were asked for, none of which can be left out."""
+    return noise(wish.width * wish.across, wish.height * wish.down)
