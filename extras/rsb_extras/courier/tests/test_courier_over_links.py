@@ -150,6 +150,7 @@ def test_without_the_right_nothing_is_listed_or_given(bridge: Bridge, bags: Path
     (group,) = pc.do(ListRecordings("robot1")).result(60)
     assert not group.recordings
     assert "may: {recordings: true}" in group.problem
+    assert pc.do(ListRecordings(here=True)).result(60) == ()
     with pytest.raises(EngineError, match=r"may: \{recordings: true\}"):
         fetch(pc, "drive.mcap")
 
