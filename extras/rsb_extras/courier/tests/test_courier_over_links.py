@@ -39,6 +39,8 @@ from rsb_extras.courier.tests.courier_bed import (
 from rsb_extras.courier.tests.courier_places import BEGINNING, CUTTER, LISTED_WITHIN, QUICK
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from tests.support.bridge import Bridge
 
 
@@ -78,7 +80,7 @@ def test_newest_recordings_are_those_that_came_last(
 ) -> None:
     """No other file is looked into: a tile asks for them each ten seconds."""
     read: list[str] = []
-    beginning = BEGINNING.value
+    beginning: Callable[[str], bytes] = BEGINNING.value
 
     def noted(path: str) -> bytes:
         read.append(Path(path).name)
