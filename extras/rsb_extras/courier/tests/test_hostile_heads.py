@@ -217,5 +217,5 @@ def test_what_a_database_holds_in_its_log_is_kept(tmp_path: Path) -> None:
         writer.executemany("INSERT INTO messages VALUES (?, 1, ?, ?)", [(at, at, b"\0\1\0\0") for at in range(1, 9)])
         os.utime(bag, (0, 0))
         keep_parts([LivePart(bag, 1, 8)], tmp_path / "live")
-    (kept,) = (tmp_path / "live").iterdir()
-    assert [each.time for each in OpenRecording(kept).messages()] == [*range(1, 9)]
+        (kept,) = (tmp_path / "live").iterdir()
+        assert [each.time for each in OpenRecording(kept).messages()] == [*range(1, 9)]
