@@ -22,6 +22,7 @@ class CompletedText(Wording):
     BY_MESSAGES = "{count:,} messages (within {spread:.6f} s)"
     BY_LINK = "the link's measurement, as no message came live"
     BY_NOTHING = "nothing: no message came live, and the link has not measured it"
+    NAMES = "{here} ({there} over there)"
     TOPIC = "{name}: {live:,} live, {fetched:,} fetched, {missing:,} in neither recording"
     GAP = "  {begin} to {end}: {messages}{reason}"
     COUNT = "{count:,} messages, "
@@ -41,11 +42,30 @@ _REASONS = {
 
 def completed_lines(completed: CompletedRecording) -> Iterator[str]:
     """Yield the lines that tell what is in the file, and what is missing and why."""
+    yield from summary_texts(completed)
+    for topic in completed.topics:
+        figures = {"live": topic.live, "fetched": topic.fetched, "missing": topic.missing}
+        yield CompletedText.TOPIC(name=topic_name(topic), **figures)
+        yield from gap_texts(topic)
+
+
+def summary_texts(completed: CompletedRecording) -> Iterator[str]:
+    """Yield how much was fetched, and how times became times of this side."""
     fetched, whole = byte_count(completed.fetched), byte_count(completed.whole)
     yield CompletedText.BYTES(fetched=fetched, whole=whole)
     yield _clock(completed.clock)
-    for topic in completed.topics:
-        yield from _of_topic(topic)
+
+
+def topic_name(topic: CompletedTopic) -> str:
+    return topic.name if topic.name == topic.there else CompletedText.NAMES(here=topic.name, there=topic.there)
+
+
+def gap_texts(topic: CompletedTopic) -> Iterator[str]:
+    """Yield when messages of a topic are missing, and why."""
+    for gap in topic.gaps:
+        yield _of_gap(gap)
+    if topic.more_gaps:
+        yield CompletedText.MORE(count=topic.more_gaps)
 
 
 def _clock(clock: CompletedClock) -> str:
@@ -54,15 +74,6 @@ def _clock(clock: CompletedClock) -> str:
     else:
         source = CompletedText.BY_LINK() if clock.source is ClockSource.LINK else CompletedText.BY_NOTHING()
     return CompletedText.CLOCK(sign="-" if clock.offset < 0 else "+", seconds=abs(clock.offset) / 1e9, source=source)
-
-
-def _of_topic(topic: CompletedTopic) -> Iterator[str]:
-    name = topic.name if topic.name == topic.there else f"{topic.name} ({topic.there} over there)"
-    yield CompletedText.TOPIC(name=name, live=topic.live, fetched=topic.fetched, missing=topic.missing)
-    for gap in topic.gaps:
-        yield _of_gap(gap)
-    if topic.more_gaps:
-        yield CompletedText.MORE(count=topic.more_gaps)
 
 
 def _of_gap(gap: MissingSpan) -> str:

@@ -24,7 +24,7 @@ from rsb_extras.courier.completed_recording import (
     MissingSpan,
 )
 from rsb_extras.courier.fetch_spool import PieceRow, Spool, check_room, until
-from rsb_extras.courier.live_parts import keep_parts
+from rsb_extras.courier.live_parts import LIVE, keep_parts
 from rsb_extras.courier.message_index import MOST_MESSAGES, MessageIndex, TooManyMessagesError
 from rsb_extras.courier.pieces import PieceError, PieceProblem
 from rsb_extras.recording.mcap_file import new_recording
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
 METADATA = "rsb_completed"
 """The name of the metadata record of the file, whose `json` is a `CompletedRecording`."""
-_HEADS, _LIVE, _INDEX, _UNSORTED = "heads", "live", "messages.db", "unsorted.mcap"
+_HEADS, _INDEX, _UNSORTED = "heads", "messages.db", "unsorted.mcap"
 _HEADS_SHARE = 0.1
 """Of what a fetch shows of its progress, for the heads. A round figure."""
 
@@ -77,13 +77,13 @@ class CompletionSpool(Spool):
 
     def _prepare(self) -> None:
         self._rows[0].folder.mkdir(0o700)
-        unfinished = self.folder / f"{_LIVE}{UNFINISHED}"
+        unfinished = self.folder / f"{LIVE}{UNFINISHED}"
         keep_parts(self._parts, unfinished)
-        unfinished.rename(self.folder / _LIVE)
+        unfinished.rename(self.folder / LIVE)
 
     @property
     def is_made(self) -> bool:
-        return (self.folder / _LIVE).is_dir()
+        return (self.folder / LIVE).is_dir()
 
     @property
     def rows(self) -> Sequence[PieceRow]:
@@ -157,7 +157,7 @@ class CompletionSpool(Spool):
     def _live(self) -> Iterator[tuple[Path, StoredMessage]]:
         """Yield the messages that came live, file by file; what is damaged ends a file."""
         names = {each.here for each in self._completes.topics}
-        for path in sorted((self.folder / _LIVE).iterdir()):
+        for path in sorted((self.folder / LIVE).iterdir()):
             with contextlib.suppress(RecordingError):
                 for message in OpenRecording(path).messages(topics=names):
                     yield path, message
@@ -171,7 +171,6 @@ class CompletionSpool(Spool):
     def _write_file(self, stop: Callable[[], bool]) -> int:
         if self.next_row(stop) is not None or self._index is None:
             raise PieceError(PieceProblem.CUT())
-        self.path.unlink(missing_ok=True)
         unsorted = self.folder / _UNSORTED
         for each in (unsorted, unsorted.with_name(f".{unsorted.name}{UNFINISHED}")):
             each.unlink(missing_ok=True)

@@ -28,8 +28,10 @@ for example:
 """
 CHAPTER = KeyChapter(
     "Recordings", "RecordingsScreen",
-    (("enter g", "get the recording from the other side"), ("x", "give up its fetch, after a question"),
-     ("esc", "close")),
+    (("enter g", "get the recording from the other side"),
+     ("c", "complete what came live here by it, after a form"),
+     ("m", "show what neither side has of it, once it is completed"),
+     ("x", "give up its fetch, after a question"), ("esc", "close")),
 )  # fmt: skip
 
 

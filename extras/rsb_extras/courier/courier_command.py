@@ -121,9 +121,7 @@ def _list(arguments: Namespace) -> int:
         groups = engine.do(ListRecordings(link)).result(LISTED_WITHIN)
         fetches = result(engine.do(ListFetches(link)))
         role = engine.bridge.role
-    problems = problems_of(groups)
-    if link and problems:
-        raise EngineError(problems[link])
+    problems = problems_of(groups, link)
     if arguments.json:
         listed = [{"link": group.link} | _as_data(each) for group in groups for each in newest_first(group)]
         return done(arguments, recordings=listed, fetches=[*map(_fetch_data, fetches)], problems=problems)
@@ -240,7 +238,7 @@ def _wait(engine: RemoteEngine, arguments: Namespace, name: str) -> int:
             fetch = next((each for each in result(engine.do(ListFetches())) if each.name == name), None)
             if fetch is None:
                 raise EngineError(CourierCommandText.GONE(name=one_line(name)))
-            if fetch.state in (FetchState.DONE, FetchState.FAILED):
+            if fetch.is_over:
                 break
             if has_bar:
                 redraw_line(bar_text(fetch))

@@ -141,7 +141,7 @@ class Fetch:
             rate=max(0.0, (taken - first.taken) / seconds) if runs else 0.0,
             rest=min((1.0 - share) / gained * seconds, 1e9) if runs and gained > 0 else None,
             messages=self.messages, path=str(self.spool.path) if is_done else "", reason=sanitize_text(self.reason),
-            completed=self.spool.completed if is_done else None,
+            completed=self.spool.completed if is_done else None, completes=self.asked.completes is not None,
         )  # fmt: skip
 
 
@@ -186,7 +186,8 @@ class CourierPart(EnginePart):
         if command.link:
             return (await self._of_link(link_named(command.link, self._bridge.links())),)
         own = RecordingGroup(recordings=tuple(await self._kept.all(None)))
-        groups = (own, *await asyncio.gather(*map(self._of_link, self._bridge.links())))
+        others = () if command.here else self._bridge.links()
+        groups = (own, *await asyncio.gather(*map(self._of_link, others)))
         return tuple(group for group in groups if group.recordings or group.problem)
 
     async def _of_link(self, link: Link) -> RecordingGroup:

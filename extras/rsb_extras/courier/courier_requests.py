@@ -50,6 +50,7 @@ class FetchReport(msgspec.Struct, frozen=True, omit_defaults=True):
         rest: s that it still takes at this rate, or None if nobody knows.
         path: of the file, once it is written.
         reason: why it waits or has failed, or empty.
+        completes: whether it completes what came live.
         completed: what is in the file, of one that completes what came live and is done.
     """
 
@@ -65,16 +66,22 @@ class FetchReport(msgspec.Struct, frozen=True, omit_defaults=True):
     path: Annotated[str, Meta(max_length=_PATH)] = ""
     reason: Reason = ""
     completed: CompletedRecording | None = None
+    completes: bool = False
+
+    @property
+    def is_over(self) -> bool:
+        return self.state in (FetchState.DONE, FetchState.FAILED)
 
 
 class ListRecordings(Command[tuple[RecordingGroup, ...]], frozen=True, tag="list_recordings"):
-    """List the recordings of this side and of all links, or of one link; sides without any are left out."""
+    """List the recordings of this side and of all links, without empty sides, or of one side."""
 
     right = Right.LOOK
     is_of_links = True
     refreshes = False
     cancellable = True
     link: str = ""
+    here: bool = False  # this side alone: no link is asked
 
 
 class NewestRecordings(Command[tuple[RecordingGroup, ...]], frozen=True, tag="newest_recordings"):

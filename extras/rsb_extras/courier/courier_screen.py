@@ -1,8 +1,10 @@
-"""The recordings of both sides on a screen, with a key that gets one from the other side, and how that goes."""
+"""The recordings of both sides on a screen, with keys that get or complete one of the other side, and how that goes."""
 
 from __future__ import annotations
 
 import asyncio
+from contextlib import suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 from textual import work
@@ -20,8 +22,10 @@ from rsb_console.feature_console import (
     side_of,
     wrapped,
 )
+from rsb_extras.courier.completed_screen import CompletedScreen
+from rsb_extras.courier.completing_form import CompletingForm
 from rsb_extras.courier.courier_command import HEADINGS, CourierCommandText, bar_text, newest_first, texts_of
-from rsb_extras.courier.courier_requests import CancelFetch, FetchRecording, FetchState, ListFetches, ListRecordings
+from rsb_extras.courier.courier_requests import CancelFetch, FetchRecording, ListFetches, ListRecordings
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -32,7 +36,7 @@ if TYPE_CHECKING:
     from rsb_extras.courier.courier_records import ListedRecording
     from rsb_extras.courier.courier_requests import FetchReport, RecordingGroup
 
-HELP = "⏎ get   x give up   esc close"
+HELP = "⏎ get   c complete   m what is missing   x give up   esc close"
 _WIDTH = 76  # cells, until the screen is laid out
 _TOPICS = 40  # that are named. A round figure
 _FETCHES_EVERY = 1.0  # s
@@ -50,19 +54,37 @@ class RecordingsScreenText(Wording):
     NOTE = "note: {note}"
     TOPICS = "topics: {topics}"
     PROBLEM = "not all of it is known: {problem}"
+    FETCH = "{name} {bar}"
+    NOT_COMPLETED = "{name} has not been completed since the bridge began: press c on it"
+    COMPLETING = "{name} is being completed: wait until that is over"
+    MISSING = "m: what neither side has of it, and why"
 
 
 class RecordingRow(NamedTuple):
-    """A recording with the link to its side, or an empty text for this side, and its last fetch."""
+    """A recording with the link to its side, or an empty text for this side.
+
+    Attributes:
+        fetches: of it, or those that have made it; the last one is last.
+    """
 
     link: str
     side: str
     recording: ListedRecording
-    fetch: FetchReport | None
+    fetches: tuple[FetchReport, ...]
 
     @property
     def key(self) -> str:
         return f"{self.link}/{self.recording.id}"
+
+    @property
+    def under_way(self) -> FetchReport | None:
+        """The last fetch that is not over."""
+        return next((each for each in reversed(self.fetches) if not each.is_over), None)
+
+    @property
+    def completed(self) -> FetchReport | None:
+        """The last fetch that has completed what came live."""
+        return next((each for each in reversed(self.fetches) if each.completed is not None), None)
 
 
 class RecordingsTable(CellTable[RecordingRow]):
@@ -70,7 +92,7 @@ class RecordingsTable(CellTable[RecordingRow]):
     WHOLE = frozenset({"BEGIN", "TOPICS"})
 
     def cells(self, row: RecordingRow) -> tuple[tuple[str, str], ...]:
-        look = "strong" if row.fetch is None else FETCH_LOOKS[row.fetch.state]
+        look = FETCH_LOOKS[row.fetches[-1].state] if row.link and row.fetches else "strong"
         begin, span, size, cause, topics = texts_of(row.recording)
         figures = (begin, ""), (span, ""), (size, ""), (cause, ""), (topics, "dim")
         return (row.recording.name, look), (row.side, ""), *figures
@@ -81,6 +103,8 @@ class RecordingsScreen(SidesScreen["RecordingGroup"]):
 
     BINDINGS: ClassVar = [
         Binding("enter,g", "get", show=False),
+        Binding("c", "complete", show=False),
+        Binding("m", "missing", show=False),
         Binding("x", "give_up", show=False),
     ]
     AUTO_FOCUS = "#recordings"
@@ -94,13 +118,15 @@ class RecordingsScreen(SidesScreen["RecordingGroup"]):
         super().__init__(main.console, link)
         self.main, self.table = main, RecordingsTable(id="recordings")
         self.detail = ScrolledLines(id="recordings-detail")
-        self._groups: Sequence[RecordingGroup] = ()
+        self._here: Sequence[RecordingGroup] = ()
+        self._there: Sequence[RecordingGroup] = ()
         self._fetches: tuple[FetchReport, ...] = ()
 
     def compose(self) -> ComposeResult:
         yield Dialog("Recordings", self.problems, self.table, self.detail, keys=HELP, shape="-high")
 
     def on_mount(self) -> None:
+        self._renew_here()
         super().on_mount()
         self.set_interval(_FETCHES_EVERY, self._renew_fetches)
         self._renew_fetches()
@@ -108,26 +134,39 @@ class RecordingsScreen(SidesScreen["RecordingGroup"]):
     def request(self) -> ListRecordings:
         return ListRecordings(self.link)
 
+    def renew(self) -> None:
+        self._renew_here()
+        super().renew()
+
+    @work(group="here", exclusive=True)
+    async def _renew_here(self) -> None:
+        """List this side's recordings at once: the other side's answer may take long, or never come."""
+        if (engine := self.console.engine) is None:
+            return
+        with suppress(EngineError):  # the list of both sides says why
+            self._here = await asyncio.wrap_future(engine.do(ListRecordings(here=True)))
+            self._show_rows()
+
     def show(self, groups: Sequence[RecordingGroup]) -> None:
-        self._groups = groups
+        self._there = [group for group in groups if group.link]
         self._show_rows()
         self.show_problems(groups, CourierCommandText.NONE(), is_empty=self.table.selected is None)
 
     def _show_rows(self) -> None:
         role = self.console.snapshot().role
-        sides = [(group, side_of(role, group.link)) for group in self._groups]
         self.table.show(
             [
-                RecordingRow(group.link, side, each, self._fetch_of(group.link, each.name))
-                for group, side in sides
+                RecordingRow(group.link, side_of(role, group.link), each, (*self._fetches_of(group.link, each.name),))
+                for group in (*self._here, *self._there)
                 for each in newest_first(group)
             ]
         )
         self._show_detail()
 
-    def _fetch_of(self, link: str, name: str) -> FetchReport | None:
-        found = [each for each in self._fetches if link and (each.link, each.recording) == (link, name)]
-        return found[-1] if found else None
+    def _fetches_of(self, link: str, name: str) -> Iterator[FetchReport]:
+        for fetch in self._fetches:
+            if (fetch.link, fetch.recording) == (link, name) or (not link and Path(fetch.path).name == name):
+                yield fetch
 
     @work(group="fetches", exclusive=True)
     async def _renew_fetches(self) -> None:
@@ -147,34 +186,61 @@ class RecordingsScreen(SidesScreen["RecordingGroup"]):
         self._show_detail()
 
     def action_get(self) -> None:
-        row = self._chosen()
-        if row is None:
-            return
-        if not row.link:
-            self.warn(RecordingsScreenText.HERE(name=row.recording.name))
-        else:
+        if (row := self._chosen_there()) is not None:
             self._get(row)
 
     @work(group=DIALOG)
     async def _get(self, row: RecordingRow) -> None:
+        await self._fetch_recording(row, FetchRecording(row.link, row.recording.id))
+
+    def action_complete(self) -> None:
+        if (row := self._chosen_there()) is not None:
+            self._complete(row)
+
+    @work(group=DIALOG)
+    async def _complete(self, row: RecordingRow) -> None:
+        here = [each for group in self._here for each in newest_first(group)]
+        completing = await self.console.ask(CompletingForm(row.side, row.recording, here))
+        if completing is not None:
+            topics, live = completing
+            command = FetchRecording(row.link, row.recording.id, topics, completes=True, live=live)
+            await self._fetch_recording(row, command)
+
+    async def _fetch_recording(self, row: RecordingRow, command: FetchRecording) -> None:
         if (engine := self.console.engine) is None:
             return
         try:
-            await asyncio.wrap_future(engine.do(FetchRecording(row.link, row.recording.id)))
+            await asyncio.wrap_future(engine.do(command))
         except EngineError as error:
             self.warn(str(error))
         else:
             self.notify(RecordingsScreenText.BEGUN(name=row.recording.name, side=row.side), markup=False, timeout=4)
             self._renew_fetches()
 
+    def action_missing(self) -> None:
+        row = self.table.selected
+        if row is None or not self.table.is_seen():
+            return
+        name = row.recording.name
+        if (fetch := row.completed) is not None:
+            self._show_missing(fetch)
+        elif row.under_way is not None and row.under_way.completes:
+            self.warn(RecordingsScreenText.COMPLETING(name=name))
+        else:
+            self.warn(RecordingsScreenText.NOT_COMPLETED(name=name))
+
+    @work(group=DIALOG)
+    async def _show_missing(self, fetch: FetchReport) -> None:
+        await self.console.ask(CompletedScreen(fetch))
+
     def action_give_up(self) -> None:
         row = self._chosen()
         if row is None:
             return
-        if row.fetch is None or row.fetch.state in (FetchState.DONE, FetchState.FAILED):
+        if row.under_way is None:
             self.warn(RecordingsScreenText.NO_FETCH(name=row.recording.name))
         else:
-            self._give_up(row.fetch)
+            self._give_up(row.under_way)
 
     @work(group=DIALOG)
     async def _give_up(self, fetch: FetchReport) -> None:
@@ -197,11 +263,22 @@ class RecordingsScreen(SidesScreen["RecordingGroup"]):
             return None
         return row
 
+    def _chosen_there(self) -> RecordingRow | None:
+        """Return the chosen recording if the other side has it."""
+        row = self._chosen()
+        if row is not None and not row.link:
+            self.warn(RecordingsScreenText.HERE(name=row.recording.name))
+            return None
+        return row
+
 
 def _lines(row: RecordingRow, width: int) -> Iterator[Line]:
     listed = row.recording
-    if row.fetch is not None:
-        yield from wrapped(bar_text(row.fetch), width, FETCH_LOOKS[row.fetch.state])
+    for fetch in row.fetches if row.link else ():
+        text = RecordingsScreenText.FETCH(name=fetch.name, bar=bar_text(fetch))
+        yield from wrapped(text, width, FETCH_LOOKS[fetch.state])
+    if row.completed is not None:
+        yield from wrapped(RecordingsScreenText.MISSING(), width, "strong")
     if listed.problem:
         yield from wrapped(RecordingsScreenText.PROBLEM(problem=listed.problem), width, "waiting")
     if listed.note:

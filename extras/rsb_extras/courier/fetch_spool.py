@@ -16,6 +16,7 @@ from rsb_bridge.config.files import UNFINISHED, is_there
 from rsb_bridge.feature_api import Count, Name, Wording, make_folder, replace_file
 from rsb_extras.courier.completed_recording import AskedCompletion
 from rsb_extras.courier.courier_records import Cursor, ListedRecording, Wanted
+from rsb_extras.courier.kept_recordings import FetchError, KeptProblem
 from rsb_extras.courier.pieces import (
     MOST_CHANNELS,
     Channels,
@@ -114,7 +115,7 @@ class PieceRow:
                 if stop():
                     return
                 self._count(decode_piece(data), len(data))
-        except (PieceError, OSError):  # the disk has lost a part of it: it is got again
+        except (PieceError, FetchError, OSError):  # the disk has lost a part of it: it is got again
             pass
 
     def _read(self) -> Iterator[bytes]:
@@ -128,6 +129,8 @@ class PieceRow:
 
     def _count(self, piece: Piece, size: int) -> None:
         check_follows(piece, self.at)
+        if self._pieces and piece.denied != self.denied:  # a place among other messages is another place
+            raise FetchError(KeptProblem.RIGHTS())
         self.known.update(piece.content().channels)
         if len(self.known) > MOST_CHANNELS:
             raise PieceError(PieceProblem.TOO_MANY_CHANNELS(most=MOST_CHANNELS))
@@ -140,6 +143,7 @@ class PieceRow:
 
         Raises:
             PieceError: it is not the next one, or holds what no recording has.
+            FetchError: this side may read other topics by now.
             OSError: it cannot be written.
         """
         if self.taken > _TIMES_LARGER * self._size + _MORE:
@@ -185,11 +189,13 @@ class Spool(ABC):
 
     Attributes:
         completed: what is in the file, once it is written, of a fetch that completes something; or None.
+        path: of the file. It gets a number if another one has taken its name meanwhile.
     """
 
     def __init__(self, folder: Path, asked: AskedFetch) -> None:
         self.folder, self.asked = folder, asked
         self.completed: CompletedRecording | None = None
+        self.path = folder.parent / f"{asked.name}.mcap"
         self._working = threading.RLock()
 
     def make(self) -> Self:
@@ -248,17 +254,24 @@ class Spool(ABC):
         with self._working:
             if stop():  # before it began
                 raise InterruptedError
-            self.path.with_name(f".{self.path.name}{UNFINISHED}").unlink(missing_ok=True)  # of a bridge that was killed
-            count = self._write(stop)
+            for number in count(2):
+                self.path.with_name(f".{self.path.name}{UNFINISHED}").unlink(missing_ok=True)  # of a killed bridge
+                if not is_there(self.path):
+                    break
+                if written := self._written():  # by a bridge that was killed before it removed the pieces
+                    self.remove()
+                    return written
+                self.path = self.folder.parent / f"{self.asked.name}-{number}.mcap"  # an operator has put one there
+            written = self._write(stop)
             self.remove()
-            return count
+            return written
+
+    def _written(self) -> int:
+        """Return how many messages the file by the name of this one has if it has all of this one, else 0."""
+        return 0
 
     @abstractmethod
     def _write(self, stop: Callable[[], bool]) -> int: ...
-
-    @property
-    def path(self) -> Path:
-        return self.folder.parent / f"{self.asked.name}.mcap"
 
     def close(self) -> None:  # noqa: B027 -- a plain fetch has nothing open
         """Release what is open; the folder stays."""
@@ -290,8 +303,6 @@ class FetchSpool(Spool):
         return None if self.row.is_whole else self.row
 
     def _write(self, stop: Callable[[], bool]) -> int:
-        if is_there(self.path) and (count := self._written()):
-            return count
         check_room(self.folder, self.taken)
         with new_recording(self.path) as recording:
             for message in until(self.row.messages(), stop):
@@ -299,12 +310,11 @@ class FetchSpool(Spool):
         return recording.messages
 
     def _written(self) -> int:
-        """Return how many messages the file has if it has all: a bridge was killed before it removed the pieces."""
         try:
-            count = summary_of(self.path).messages
+            written = summary_of(self.path).messages
         except RecordingError:
             return 0
-        return count if count == sum(1 for _ in self.row.messages()) else 0
+        return written if written == sum(1 for _ in self.row.messages()) else 0
 
 
 def until(messages: Iterator[_T], stop: Callable[[], bool]) -> Iterator[_T]:

@@ -8,7 +8,10 @@ from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rsb_bridge.config.files import UNFINISHED
 from rsb_bridge.feature_api import Wording
+from rsb_extras.courier.fetch_spool import SPOOL
+from rsb_extras.courier.live_parts import LIVE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -31,8 +34,9 @@ class FolderFullError(Exception):
 def make_room(folder: Path, most: float) -> list[Path]:
     """Remove the oldest recordings that were fetched, until the folder has so many GB at most; return them.
 
-    What is being fetched counts, and stays, with what it completes. So does a file whose mode is not the bridge's: an
-    operator keeps it.
+    What is being fetched counts, and stays. So does a file whose mode is not the bridge's: an operator keeps it. What
+    came live for it stays, and does not count: the ring has its own bound, and with a larger one a fetch waited for
+    ever.
 
     Raises:
         FolderFullError: what stays has more. Nothing is removed.
@@ -40,7 +44,7 @@ def make_room(folder: Path, most: float) -> list[Path]:
     """
     sizes = dict(_files(folder))
     names = Counter(map(_inode, sizes.values()))  # a fetch may link what another one or the folder has
-    total = sum({_inode(status): status.st_size for status in sizes.values()}.values())
+    total = sum({_inode(status): status.st_size for path, status in sizes.items() if not _came_live(path)}.values())
     removable = sorted(
         (
             path
@@ -64,6 +68,10 @@ def make_room(folder: Path, most: float) -> list[Path]:
 
 def _inode(status: os.stat_result) -> tuple[int, int]:
     return status.st_dev, status.st_ino
+
+
+def _came_live(path: Path) -> bool:
+    return path.parent.name in (LIVE, f"{LIVE}{UNFINISHED}") and path.parents[1].name.endswith(SPOOL)
 
 
 def _is_own(path: Path, status: os.stat_result) -> bool:

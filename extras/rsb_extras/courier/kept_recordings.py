@@ -6,6 +6,7 @@ import asyncio
 import hashlib
 import os
 import stat
+from contextlib import suppress
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -52,6 +53,7 @@ class KeptProblem(Wording):
     GONE = "the recording is not there any more: list the recordings again"
     CHANGED = "the recording has changed since it was listed: get it again once nothing writes to it"
     WRITTEN = "something writes to it: list the recordings again once nothing does"
+    RIGHTS = "the rights of this side have changed over there meanwhile: get it again"
     READING = "it is being read for the first time: list the recordings again"
 
 
@@ -105,6 +107,14 @@ class Kept(NamedTuple):
             return True
 
 
+class _Place(NamedTuple):
+    """Where a recording may be; when its file or folder was changed last (ns since the epoch)."""
+
+    folder: Path
+    name: str
+    changed_at: int
+
+
 class _Known(NamedTuple):
     """What was read of a recording.
 
@@ -151,12 +161,19 @@ class KeptRecordings:
         """Return those that came last, for this side's operators, the newest first and without their topics."""
         async with self._listing:
             deadline = self._context.now() + _READ_FOR
-            found = await asyncio.to_thread(self._list, None, most, lambda: self._context.now() > deadline)
+            found = await asyncio.to_thread(self._newest, most, lambda: self._context.now() > deadline)
             return [replace(each, topics=()) for each in found]
 
     def _list(self, rights: Rights | None, most: int, stop: Callable[[], bool]) -> list[ListedRecording]:
         found = sorted(self._found(fetched=rights is None), key=lambda each: each.changed_at, reverse=True)
         return [self._listed(each, rights, stop) for each in found[:most]]
+
+    def _newest(self, most: int, stop: Callable[[], bool]) -> list[ListedRecording]:
+        """Look into those alone whose file or folder has changed last: a tile asks for them again and again."""
+        places = sorted(self._places(fetched=True), key=lambda place: place.changed_at, reverse=True)
+        found = islice(filter(None, (_kept(each.folder, each.name) for each in places)), most)
+        newest = sorted(found, key=lambda each: each.changed_at, reverse=True)
+        return [self._listed(each, None, stop) for each in newest]
 
     def find(self, key: str, stamp: str) -> Kept:
         """Return one that a peer may get, on any thread.
@@ -180,6 +197,12 @@ class KeptRecordings:
         return (kept for kept in self._found(fetched=False) if kept.path.parent == self.recorded)
 
     def _found(self, *, fetched: bool) -> Iterator[Kept]:
+        for folder, name, _ in self._places(fetched=fetched):
+            if (kept := _kept(folder, name)) is not None:
+                yield kept
+
+    def _places(self, *, fetched: bool) -> Iterator[_Place]:
+        """Yield where recordings may be, folder by folder and by their names."""
         folders = [self.recorded, *map(Path, RECORDINGS_KEY.of(self._context.session).folders)]
         if fetched:
             folders.append(self.fetched)
@@ -189,10 +212,9 @@ class KeptRecordings:
             except OSError:
                 continue
             for name in names:
-                if name.startswith(".") or folder / name == self.fetched:
-                    continue
-                if (kept := _kept(folder, name)) is not None:
-                    yield kept
+                if not name.startswith(".") and folder / name != self.fetched:
+                    with suppress(OSError):  # it has gone meanwhile
+                        yield _Place(folder, name, (folder / name).lstat().st_mtime_ns)
 
     def _listed(self, kept: Kept, rights: Rights | None, stop: Callable[[], bool]) -> ListedRecording:
         summary, (cause, note) = self._summary(kept, stop)

@@ -64,8 +64,8 @@ _DEPTH = 16  # slices that may wait; 2 are under way
 _BEGINS, _BEGINS_WITHIN = 20, 60.0
 """Orders for pieces of a peer that are followed in so many s: each opens files and looks for a place."""
 _SILENT, _LOOK_EVERY = 120.0, 5.0
-"""s without a slice, while the link is up, after which this side begins anew. Round figures: the least slice takes
-0.4 s at 5 kB/s, and longer beside topics."""
+"""s without a slice, while the link is up, after which this side begins anew. Round figures: a slice of 2 KiB
+takes 0.4 s at 5 kB/s, and longer beside topics."""
 _LATELY = 1.0
 """s after a topic's message in which slices make room for the next one. A round figure."""
 _ENDED = "the recording is here"
@@ -95,7 +95,6 @@ class CourierProblem(Wording):
     NOT_THERE = "the installation of {link} has no courier: install all of rsb-console there"
     NO_TOPIC = "{owner} does not let {peer} read {topic}"
     NO_SENDING = "{owner} takes no recording from {peer}: the side that gets it proposes the route"
-    RIGHTS = "the rights of this side have changed over there meanwhile: get it again"
     ONE_ROUTE = "recordings have a route already"
     NO_ROUTE = "this route carries no recordings"
     TOO_OFTEN = "a recording was asked for {most} times within {seconds:g} s: wait"
@@ -295,7 +294,7 @@ class LinkCourier(AskingExtension):
             await sending.until(lambda: sending.given < sending.taken + WINDOW)
             piece = await asyncio.to_thread(_next_piece, cutter, kept)
             if self._allowed(sending.order) != topics:  # a reload may have taken a right away
-                raise FetchError(CourierProblem.RIGHTS())
+                raise FetchError(KeptProblem.RIGHTS())
             if await asyncio.to_thread(kept.has_changed):
                 raise FetchError(KeptProblem.CHANGED())
             sending.given, is_last = piece.number, piece.is_last

@@ -17,6 +17,7 @@ from rsb_extras.recording.keep_last import RING
 from rsb_extras.recording.reading.mcap_records import MCAP_MAGIC
 from rsb_extras.recording.reading.open_recording import OpenRecording
 from rsb_extras.recording.reading.recording_files import SUFFIXES, files_of
+from rsb_extras.recording.reading.sqlite_bag import copy_bag, log_of
 from rsb_extras.recording.reading.stored_message import RecordingError
 
 if TYPE_CHECKING:
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
     from rsb_bridge.feature_api import Session
     from rsb_extras.courier.kept_recordings import Kept
 
+LIVE = "live"
+"""The name of the folder of a fetch with what came live."""
 _MARGIN = 120 * 1_000_000_000
 """ns before and after the span that are looked at, too: a message may be late. A round figure."""
 _QUIET_FOR = 60.0  # s without a change, after which nothing is expected to write to a database. A round figure
@@ -129,14 +132,18 @@ def _keep(path: Path, target: Path) -> None:
         with suppress(OSError):  # another file system
             os.link(path, target)
             return
-    check_room(target.parent, path.stat().st_size)
-    shutil.copyfile(path, target)
+    log = log_of(path)
+    check_room(target.parent, path.stat().st_size + (log.stat().st_size if log.exists() else 0))
+    if log.exists():
+        copy_bag(path, target)
+    else:
+        shutil.copyfile(path, target)
 
 
 def _is_done(path: Path) -> bool:
     """Whether nothing writes to a file any more: an MCAP file has its end then. What a fetch has must not change."""
     if path.suffix != SUFFIXES[0]:
-        return time.time() - path.stat().st_mtime > _QUIET_FOR
+        return time.time() - path.stat().st_mtime > _QUIET_FOR and not log_of(path).exists()
     with path.open("rb") as file:
         file.seek(0, os.SEEK_END)
         file.seek(max(0, file.tell() - len(MCAP_MAGIC)))

@@ -10,7 +10,6 @@ import heapq
 import itertools
 import sqlite3
 from collections import Counter, deque
-from contextlib import suppress
 from typing import TYPE_CHECKING, NamedTuple
 
 from msgspec.structs import replace
@@ -41,6 +40,7 @@ _ON_TIME, _SPREADS = 20_000_000, 4
 _ALL_PROFILES = 1 << 20
 """Characters of QoS of all channels that are parsed, which takes 0.1 s for 20,000. A round figure."""
 _NEVER = 1 << 100  # ns
+_LOOK_EVERY = 10_000  # instructions of SQLite, below 1 ms, after which it looks whether it is interrupted
 _MOST = 1 << 45
 """Bytes of a topic, and ns (10 hours) of the spread, that are told at most: a robot may say more than crosses."""
 _PUBLISHERS = 16  # of a topic that are told apart by their numbers. A round figure
@@ -135,6 +135,8 @@ class MessageIndex:
             self._database.execute(f"PRAGMA {pragma}")
         self._database.executescript(_SCHEMA)
         self._database.execute("BEGIN")
+        self._is_interrupted = False
+        self._database.set_progress_handler(lambda: self._is_interrupted, _LOOK_EVERY)
         self._topics, self._check_room = topics, check_room
         self._count = Counter[str]()
         self._profiles = 0
@@ -148,9 +150,8 @@ class MessageIndex:
         self.clock = CompletedClock(ClockSource.NONE)
 
     def interrupt(self) -> None:
-        """End what another thread has begun."""
-        with suppress(sqlite3.ProgrammingError):  # that one has closed it
-            self._database.interrupt()
+        """End what another thread has begun, and what it begins from now on."""
+        self._is_interrupted = True
 
     def close(self) -> None:
         self._database.close()

@@ -226,8 +226,7 @@ class Cutter:
         packed = msgspec.msgpack.encode(PieceContent(channels, b"".join(parts)))
         packed = zstandard.ZstdCompressor(level=_LEVEL).compress(packed)
         is_last = self._rest is None
-        denied = self._denied if is_last else ()
-        return Piece(self._run, self._number, begin, self._at, is_last, packed, self._damage, denied)
+        return Piece(self._run, self._number, begin, self._at, is_last, packed, self._damage, self._denied)
 
     def _part(self, key: bytes, message: StoredMessage, room: int) -> list[bytes | memoryview]:
         """Return so many bytes of a message from `_offset` on."""

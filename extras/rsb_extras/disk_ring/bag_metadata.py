@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from collections import Counter
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -60,6 +61,9 @@ def bag_metadata(files: Sequence[Path], custom: Mapping[str, str]) -> tuple[str,
 
     Args:
         custom: what rosbag2 calls ``custom_data``.
+
+    Raises:
+        OSError: one cannot be read now.
     """
     read = [_read(path) for path in files]
     filled = [each for each in read if each.counts] or read
@@ -99,8 +103,11 @@ def _read(path: Path) -> _File:
     counts: Counter[_Topic] = Counter()
     try:
         recording = OpenRecording(path)
-    except RecordingError:  # the disk has damaged it: a reader says so, and the ring has to go on
-        return _File(path, 0, 0, counts)
+    except RecordingError as error:
+        cause = error.__cause__
+        if isinstance(cause, OSError) and cause.errno != errno.EIO:  # it passes, and the messages are there
+            raise cause from None
+        return _File(path, 0, 0, counts)  # the disk has damaged it: a reader says so, and the ring has to go on
     for channel, count in recording.counts.items():
         if count:
             counts[_Topic(channel.topic, channel.type_name, channel.type_hash, channel.profiles)] += count

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, deque
+from itertools import chain
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -15,18 +16,32 @@ LATCHED_BYTES = 256 << 20
 """Of all latched publishers together. A round figure: fifty maps of 5 MB."""
 
 
+_COUNTED = 100_000
+"""Messages without room that are counted. A round figure."""
+_NOTHING = memoryview(b"")
+
+
 class LatchedRoom:
     """Counts the bytes that DDS keeps of latched publishers.
 
     Attributes:
-        left_out: number of messages that found no room, by topic.
+        left_out: number of messages that found no room, by topic; one that is played again counts once.
     """
 
     def __init__(self) -> None:
-        self.left_out: Counter[str] = Counter()
+        self._left_out: set[tuple[str, int, int]] = set()
+        """Topics, times and numbers of these messages."""
         self._kept: dict[int, deque[int]] = {}
         """Sizes of the messages that DDS keeps, by the `id` of their publishers."""
         self._size = 0
+
+    @property
+    def left_out(self) -> Counter[str]:
+        return Counter(topic for topic, _, _ in self._left_out)
+
+    def _leave_out(self, message: StoredMessage) -> None:
+        if len(self._left_out) < _COUNTED:
+            self._left_out.add((message.channel.topic, message.time, message.number))
 
     def has_room(self, played: PlayedTopic, message: StoredMessage) -> bool:
         """Whether a message may be published, which takes its room."""
@@ -35,7 +50,7 @@ class LatchedRoom:
         sizes = self._kept.setdefault(id(played), deque())
         more = len(message.content) - (sizes[0] if len(sizes) == played.kept else 0)
         if self._size + more > LATCHED_BYTES:
-            self.left_out[message.channel.topic] += 1
+            self._leave_out(message)
             return False
         if len(sizes) == played.kept:
             sizes.popleft()
@@ -46,17 +61,23 @@ class LatchedRoom:
     def newest(self, messages: Iterable[StoredMessage], publishers: PlayedPublishers) -> list[StoredMessage]:
         """Return the messages that late joiners get after all of these, in their order, as far as there is room."""
         kept: dict[int, deque[StoredMessage]] = {}
+        lost: dict[int, deque[StoredMessage]] = {}  # of those that late joiners would get
         size = 0
         for message in messages:
             if (played := publishers.of(message.channel)) is None or not played.kept:
                 continue
-            own = kept.setdefault(id(played), deque())
+            own, gone = kept.setdefault(id(played), deque()), lost.setdefault(id(played), deque())
             # A view would hold the whole chunk.
             own.append(message._replace(content=memoryview(bytes(message.content))))
             size += len(message.content)
             if len(own) > played.kept:
                 size -= len(own.popleft().content)
             while size > LATCHED_BYTES and own:
-                size -= len(own.popleft().content)
-                self.left_out[message.channel.topic] += 1
+                oldest = own.popleft()
+                size -= len(oldest.content)
+                gone.append(oldest._replace(content=_NOTHING))
+            while gone and len(gone) + len(own) > played.kept:  # newer ones have taken its place anyway
+                gone.popleft()
+        for each in chain(*lost.values()):
+            self._leave_out(each)
         return sorted((each for own in kept.values() for each in own), key=lambda each: each.time)

@@ -7,6 +7,7 @@ from tests.support.places import Place
 ENCODED_PIECE = Place("rsb_extras.courier.link_courier", "encode_piece")
 CUTTER = Place("rsb_extras.courier.link_courier", "_cutter")
 LIST_PAGE = Place("rsb_extras.courier.link_courier", "LinkCourier._page")
+BEGINNING = Place("rsb_extras.courier.kept_recordings", "_beginning")
 QUICK = Place("rsb_extras.courier.kept_recordings", "_QUICK")
 FOLLOWS = Place("rsb_extras.courier.fetch_spool", "check_follows")
 LEFT_FREE = Place("rsb_extras.courier.fetch_spool", "_LEFT_FREE")

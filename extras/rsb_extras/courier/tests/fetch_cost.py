@@ -108,15 +108,15 @@ def topic_beside(seed: int, size: int, bags: Path, *, fetches: bool, line: Line 
         here, there = world.link_ends(robot) or (None, None)
         assert here is not None
         assert there is not None
-        getting, spool = None, None
+        getting, spool, courier = None, None, there.extensions.find(LinkCourier)
         if fetches:
             spool = await _spool(there)
-            getting = asyncio.ensure_future(there.extensions.find(LinkCourier).receive(spool.row))
+            getting = asyncio.ensure_future(courier.receive(spool.row))
         await asyncio.sleep(_SETTLED)
-        heard, taken = flow.heard, spool.taken if spool else 0
+        heard, taken = flow.heard, _come(courier, spool)
         await asyncio.sleep(_SECONDS)
         shown = next(each for each in here.routes.values() if each.local_topic.endswith("/odom")).snapshot()
-        got = (spool.taken - taken) / _SECONDS if spool else 0.0
+        got = (_come(courier, spool) - taken) / _SECONDS
         rate = (flow.heard - heard) / _SECONDS
         found.append(Beside(rate, shown.latency_p50 or 0.0, shown.latency_p99 or 0.0, got))
         if getting is not None:
@@ -125,6 +125,12 @@ def topic_beside(seed: int, size: int, bags: Path, *, fetches: bool, line: Line 
 
     world.play(life=live())
     return found[0]
+
+
+def _come(courier: LinkCourier, spool: FetchSpool | None) -> int:
+    """Return the bytes of pieces that have come, also of the one that is not whole."""
+    receiving = courier._receiving
+    return 0 if spool is None or receiving is None else spool.taken + len(receiving.joiner._piece)
 
 
 async def _spool(link: Link) -> FetchSpool:
@@ -140,7 +146,7 @@ def beside(folder: Path, megabytes: int, line: Line | None) -> None:
         for fetches in (False, True):
             for seed in (1, 2, 3):
                 one = topic_beside(seed, size, folder, fetches=fetches, line=line)
-                what = f"beside a fetch of {one.fetched / 1000:.0f} kB/s" if fetches else "alone"
+                what = f"beside a fetch of {one.fetched / 1000:.1f} kB/s" if fetches else "alone"
                 ages = f"p50 {one.p50 * 1000:.0f} ms, p99 {one.p99 * 1000:.0f} ms"
                 print(f"20 Hz of {size:,} B, seed {seed}, {what}: {one.rate:.1f} Hz, {ages}", flush=True)
 

@@ -60,7 +60,8 @@ COMPLETED = CompletedRecording(
 
 
 def _listed(command: ListRecordings) -> Any:
-    return tuple(group for group in GROUPS if command.link in ("", group.link))
+    groups = GROUPS[:1] if command.here else GROUPS
+    return tuple(group for group in groups if command.link in ("", group.link))
 
 
 def _newest(_: NewestRecordings) -> Any:

@@ -16,7 +16,14 @@ from rsb_extras.courier.completed_recording import ClockSource, CompletedClock, 
 from rsb_extras.courier.completed_text import completed_lines
 from rsb_extras.courier.courier_command import CourierCommandText
 from rsb_extras.courier.courier_records import LATEST
-from rsb_extras.courier.courier_requests import CancelFetch, FetchRecording, FetchState, ListFetches
+from rsb_extras.courier.courier_requests import (
+    CancelFetch,
+    FetchRecording,
+    FetchState,
+    ListFetches,
+    ListRecordings,
+    RecordingGroup,
+)
 from rsb_extras.courier.tests.courier_places import ANSWERED_WITHIN, WAITED_WITHIN
 from rsb_extras.courier.tests.scripted_answers import BEGAN, COMPLETED, DONE, DRIVE, FETCH
 
@@ -143,6 +150,15 @@ def test_completing_tells_what_is_missing_and_why(machine: Machine, ran: Run, mo
 def test_a_clock_that_no_message_shows_is_told(source: str, text: str) -> None:
     (_, line) = completed_lines(CompletedRecording(CompletedClock(ClockSource(source)), ()))
     assert text in line
+
+
+def test_problem_of_a_named_link_names_it(machine: Machine, ran: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    known: Any = answers()
+    monkeypatch.setitem(known, ListRecordings, lambda _: (RecordingGroup("robot1", problem="no courier"),))
+    machine.have(ScriptedEngine())
+    found = ran("record", "list", "robot1")
+    assert (found.code, found.out) == (FAILURE, "")
+    assert "robot1: no courier" in found.err
 
 
 def test_a_failed_fetch_is_a_failure(machine: Machine, ran: Run, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,6 +6,7 @@ import os
 import threading
 import time
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -35,10 +36,10 @@ from rsb_extras.courier.tests.courier_bed import (
     slow_link,
     two_sides,
 )
-from rsb_extras.courier.tests.courier_places import CUTTER, LISTED_WITHIN, QUICK
+from rsb_extras.courier.tests.courier_places import BEGINNING, CUTTER, LISTED_WITHIN, QUICK
 
 if TYPE_CHECKING:
-    from pathlib import Path
+    from collections.abc import Callable
 
     from tests.support.bridge import Bridge
 
@@ -74,13 +75,25 @@ def test_what_was_kept_is_known_without_asking_again(bridge: Bridge, bags: Path)
     assert (fault.name, fault.cause, fault.topics) == ("fault", "fault", ())
 
 
-def test_newest_recordings_are_those_that_came_last(bridge: Bridge, bags: Path, fetched: Path) -> None:
+def test_newest_recordings_are_those_that_came_last(
+    bridge: Bridge, bags: Path, fetched: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No other file is looked into: a tile asks for them each ten seconds."""
+    read: list[str] = []
+    beginning: Callable[[str], bytes] = BEGINNING.value
+
+    def noted(path: str) -> bytes:
+        read.append(Path(path).name)
+        return beginning(path)
+
     fetched.mkdir(parents=True)
     for at, name in enumerate(("b", "c", "a")):
         write_bag(fetched / f"{name}.mcap", messages(1))
         os.utime(fetched / f"{name}.mcap", (BEGAN / SECOND + at,) * 2)
     pc, _ = two_sides(bridge, bags)
+    BEGINNING.set(monkeypatch, noted)
     assert [each.name for each in newest(pc, 2)[0].recordings] == ["a.mcap", "c.mcap"]
+    assert sorted(read) == ["a.mcap", "c.mcap"]
 
 
 def test_why_a_recording_was_kept_is_listed(bridge: Bridge, bags: Path) -> None:
@@ -150,6 +163,7 @@ def test_without_the_right_nothing_is_listed_or_given(bridge: Bridge, bags: Path
     (group,) = pc.do(ListRecordings("robot1")).result(60)
     assert not group.recordings
     assert "may: {recordings: true}" in group.problem
+    assert pc.do(ListRecordings(here=True)).result(60) == ()
     with pytest.raises(EngineError, match=r"may: \{recordings: true\}"):
         fetch(pc, "drive.mcap")
 

@@ -103,12 +103,23 @@ def test_a_fetch_beyond_the_bound_waits_for_room(
         done(pc, name)
 
 
+def test_what_came_live_does_not_count(tmp_path: Path) -> None:
+    """A ring may have more than what was fetched: to complete all of it would wait for ever."""
+    put(tmp_path / ".one.fetch" / "live" / "0001.mcap", 0)
+    put(tmp_path / ".two.fetch" / "live.part" / "0001.mcap", 0)
+    kept = put(tmp_path / "own" / "live" / "0001.mcap", 0)
+    assert make_room(tmp_path, 0.005) == []
+    with pytest.raises(FolderFullError):
+        make_room(tmp_path, 0.003)
+    assert kept.exists()
+
+
 def test_what_a_fetch_completes_counts_once_and_stays(tmp_path: Path) -> None:
     named = put(tmp_path / "named.mcap", 0)
     old = put(tmp_path / "old.mcap", 1)
     for name in (".one.fetch", ".two.fetch"):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "0001.mcap").hardlink_to(named)
+        (tmp_path / name / "live").mkdir(parents=True)
+        (tmp_path / name / "live" / "0001.mcap").hardlink_to(named)
     assert make_room(tmp_path, 0.01) == []
     assert make_room(tmp_path, 0.005) == [old]
     assert named.exists()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sqlite3
 from collections import Counter
+from contextlib import closing
 from random import Random
 from typing import TYPE_CHECKING
 
@@ -175,3 +176,46 @@ def test_a_database_that_may_be_written_is_copied(tmp_path: Path, *, is_old: boo
     keep_parts([LivePart(bag, 0, 0)], tmp_path / "live")
     assert bag.stat().st_nlink == 1 + is_old
     assert (tmp_path / "live" / "0001.db3").read_bytes() == b"any"
+
+
+def test_a_file_of_that_name_stays(tmp_path: Path) -> None:
+    """An operator has put one there while it was fetched."""
+    there = write_bag(tmp_path / "robot.mcap", hostile(Random(1), 50))
+    made = spool(tmp_path, there[:10], 0.0)
+    own = tmp_path / "made.mcap"
+    own.write_bytes(b"mine")
+    get_all(made, OpenRecording(tmp_path / "robot.mcap"))
+    count = made.write(lambda: False)
+    assert own.read_bytes() == b"mine"
+    assert made.path == tmp_path / "made-2.mcap"
+    assert len(in_bag(made.path)) == count
+    assert not made.folder.exists()
+
+
+def test_an_index_stays_interrupted(tmp_path: Path) -> None:
+    """Between two statements, too: the next one may take minutes."""
+    names = [CompletedName("/scan", "/scan")]
+    index = MessageIndex(tmp_path / "messages.db", names, lambda: None)
+    index.add_live(enumerate([each._replace(channel=channel("/scan")) for each in hostile(Random(1), 5000)], 1))
+    index.interrupt()
+    with pytest.raises(sqlite3.OperationalError, match="interrupted"):
+        index.compare(None)
+    index.close()
+
+
+def test_what_a_database_holds_in_its_log_is_kept(tmp_path: Path) -> None:
+    """While something writes to it, or if that was killed."""
+    bag = tmp_path / "run_0.db3"
+    with closing(sqlite3.connect(bag, isolation_level=None)) as writer:
+        writer.execute("PRAGMA journal_mode = WAL")
+        writer.execute("PRAGMA wal_autocheckpoint = 0")
+        writer.executescript(
+            "CREATE TABLE topics (id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT);"
+            "CREATE TABLE messages (id INTEGER PRIMARY KEY, topic_id INT, timestamp INT, data BLOB);"
+            "INSERT INTO topics VALUES (1, '/scan', 'std_msgs/msg/String', 'cdr');"
+        )
+        writer.executemany("INSERT INTO messages VALUES (?, 1, ?, ?)", [(at, at, b"\0\1\0\0") for at in range(1, 9)])
+        os.utime(bag, (0, 0))
+        keep_parts([LivePart(bag, 1, 8)], tmp_path / "live")
+        (kept,) = (tmp_path / "live").iterdir()
+        assert [each.time for each in OpenRecording(kept).messages()] == [*range(1, 9)]

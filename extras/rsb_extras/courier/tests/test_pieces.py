@@ -14,6 +14,7 @@ from tests.support.wording import pattern
 
 from rsb_extras.courier.courier_records import LATEST, Cursor, ListedRecording, Wanted
 from rsb_extras.courier.fetch_spool import AskedFetch, FetchSpool, PieceRow, load_asked
+from rsb_extras.courier.kept_recordings import FetchError, KeptProblem
 from rsb_extras.courier.pieces import (
     PIECE,
     Cutter,
@@ -82,9 +83,9 @@ def test_a_bridge_killed_behind_the_file_is_done(tmp_path: Path) -> None:
     assert spool.write(lambda: False) == len(content)
     assert [*tmp_path.iterdir()] == [spool.path]
     other = spooled(tmp_path, content[:-1])
-    with pytest.raises(FileExistsError):
-        other.write(lambda: False)
-    assert other.folder.exists(), "the file of that name is another one"
+    assert other.write(lambda: False) == len(content) - 1
+    assert [each.name for each in sorted(tmp_path.iterdir())] == ["robot1-drive-2.mcap", "robot1-drive.mcap"]
+    assert other.path.name == "robot1-drive-2.mcap", "the file of that name is another one"
 
 
 def test_a_fetch_is_loaded_up_to_what_is_missing(tmp_path: Path) -> None:
@@ -224,3 +225,18 @@ def _join(contents: Iterable[PieceContent]) -> None:
     for each in contents:
         deque(joiner.add(each))
     joiner.finish()
+
+
+def test_other_rights_in_a_later_run_end_it_with_words(tmp_path: Path) -> None:
+    """A place among fewer topics is another place."""
+    content = [*messages(3)]
+    wanted = Wanted("0" * 16, "0" * 16, TOPICS, heads=True)
+    asked = AskedFetch("robot1-drive", "server pc", "robot1", ListedRecording("0" * 16, "drive", "0" * 16), wanted)
+    row = FetchSpool(tmp_path / ".robot1-drive.fetch", asked).make().row
+    first = Cutter(1, iter(content), row.at, ()).next()
+    row.add(first, encode_piece(first))
+    assert not row.is_whole
+    left = iter([each for each in content if each.channel.topic == "/scan" and each.time >= row.at.time])
+    second = Cutter(2, left, row.at, row.known, ("/tf",)).next()
+    with pytest.raises(FetchError, match=pattern(KeptProblem.RIGHTS)):
+        row.add(second, encode_piece(second))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from rsb_extras.courier.slices import Pace
 from rsb_extras.courier.tests.bags import messages, write_bag
-from rsb_extras.courier.tests.fetch_cost import topic_beside
+from rsb_extras.courier.tests.fetch_cost import LINES, topic_beside
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -55,19 +55,48 @@ def test_topic_beside_a_fetch_hardly_waits(bags: Path) -> None:
     assert beside.fetched > 80_000
 
 
-def test_jitter_is_no_full_line() -> None:
-    """Behind 20 Mbit/s, 50 ms and up to 0.1 s of jitter, a fetch beside topics does not stay at the smallest slices."""
-    pace, random, come = Pace(), Random(1), deque[float]()
+def test_topic_beside_a_fetch_on_the_tunnel(bags: Path) -> None:
+    """20 Hz of 60 B, whose p99 is 65 ms alone, and was 1 s behind slices of 2 KiB; a fetch had 2.4 kB/s."""
+    write_bag(bags / "drive.mcap", messages(40, 5000))
+    beside = topic_beside(1, 60, bags, fetches=True, line=LINES["tunnel"])
+    assert beside.p99 < 0.215
+    assert beside.fetched > 1_900
+
+
+def crossing(seconds: float, there: float, jitter: float, *rates: float) -> list[int]:
+    """Return the sizes of slices beside topics on a line that is `there` to `there` + `jitter` s long.
+
+    Args:
+        rates: bytes/s, for so many seconds each.
+    """
+    pace = Pace()
+    random, come, sizes = Random(1), deque[float](), list[int]()
     pace.has_others = True
     now = line = last = 0.0
-    crossed = heard = 0
-    while now < 60.0:
+    while now < seconds * len(rates):
         while pace.is_open:
-            line = max(line, now) + pace.size / 2.5e6
-            last = max(line + 0.05 + random.uniform(0.0, 0.1), last)
+            line = max(line, now) + pace.size / rates[int(now / seconds)]
+            last = max(line + there + random.uniform(0.0, jitter), last)
+            sizes.append(pace.size)
             pace.sent(now)
             come.append(last)
-            crossed += pace.size
-        now, heard = come.popleft(), heard + 1
-        pace.heard(heard, now)
-    assert crossed / now > 200_000  # B/s
+        now = come.popleft()
+        pace.heard(len(sizes) - len(come), now)
+    return sizes
+
+
+def test_long_line_has_no_tiny_slices() -> None:
+    """They come as late there, and would carry a sixteenth."""
+    sizes = crossing(300.0, 0.6, 0.3, 2.5e6)
+    assert min(sizes) < 200, "they are tried"
+    assert min(sizes[-100:]) >= 2 << 10
+
+
+def test_line_that_was_thin_has_large_slices() -> None:
+    assert max(crossing(600.0, 0.01, 0.0, 5_000.0)[-50:]) < 500
+    assert crossing(600.0, 0.01, 0.0, 5_000.0, 2.5e6)[-1] > 50_000
+
+
+def test_jitter_is_no_full_line() -> None:
+    """Behind 20 Mbit/s, 50 ms and up to 0.1 s of jitter, a fetch beside topics does not stay at the smallest slices."""
+    assert sum(crossing(60.0, 0.05, 0.1, 2.5e6)) / 60.0 > 200_000  # B/s

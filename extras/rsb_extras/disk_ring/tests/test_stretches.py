@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from rosbags.highlevel import AnyReader
@@ -255,6 +256,27 @@ def test_power_cut_while_a_stretch_gets_its_name(bed: RingBed, monkeypatch: pyte
     with monkeypatch.context() as patch:
         patch.setattr("rsb_extras.disk_ring.stretches.bag_metadata", _fail)
         bed.pass_time(31)
+    bed.close()
+    after = RingBed(bed.state, now=1200.0)
+    assert texts(after.stretches[0]) == at(1001, 1100)
+    after.end()
+
+
+def test_a_passing_error_makes_no_empty_stretch(bed: RingBed, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its metadata would say 0 messages for ever: the next process finishes it."""
+    bed.pass_time(70)
+    bed.keep()
+    opened = Path.open
+
+    def no_descriptors(path: Path, *arguments: Any, **options: Any) -> Any:
+        if path.suffix == ".mcap" and arguments == ("rb",):
+            raise OSError(errno.EMFILE, "too many open files")
+        return opened(path, *arguments, **options)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "open", no_descriptors)
+        bed.pass_time(31)
+    assert RingCode.NOT_KEPT in bed.codes()
     bed.close()
     after = RingBed(bed.state, now=1200.0)
     assert texts(after.stretches[0]) == at(1001, 1100)

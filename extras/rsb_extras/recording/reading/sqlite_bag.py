@@ -5,6 +5,7 @@ The file is not written, and nothing that it may hold runs: neither a trigger no
 
 from __future__ import annotations
 
+import errno
 import sqlite3
 from contextlib import closing, contextmanager
 from typing import TYPE_CHECKING, Any
@@ -117,6 +118,21 @@ class SqliteBag:
                 yield StoredMessage(channel, time, time, 0, plain)
 
 
+def log_of(path: Path) -> Path:
+    """Return where SQLite keeps what was written last, while something writes or if that was killed."""
+    return path.with_name(f"{path.name}-wal")
+
+
+def copy_bag(path: Path, target: Path) -> None:
+    """Copy a file with what its log holds, also while something writes to it; raises OSError if it cannot be copied."""
+    try:
+        with closing(_opened(path, has_log=True)) as bag, closing(sqlite3.connect(target)) as copy:
+            bag.backup(copy)
+    except sqlite3.Error as error:
+        target.unlink(missing_ok=True)
+        raise OSError(errno.EIO, f"SQLite says: {error}", str(path)) from None
+
+
 @contextmanager
 def opened_bag(path: Path) -> Iterator[SqliteBag]:
     """A file, open.
@@ -125,13 +141,11 @@ def opened_bag(path: Path) -> Iterator[SqliteBag]:
         DamageError: it is no bag, or damaged.
         OSError: it cannot be read.
     """
-    log = path.with_name(f"{path.name}-wal")
+    log = log_of(path)
     has_log = log.exists() and log.stat().st_size > 0
     size = path.stat().st_size + (log.stat().st_size if has_log else 0)
-    # Without a log of what was written last, the file is read as it is: no other file is made or locked beside it.
-    uri = f"file:{quote(str(path.absolute()))}?mode=ro{'' if has_log else '&immutable=1'}"
     try:
-        bag = sqlite3.connect(uri, uri=True, isolation_level=None)
+        bag = _opened(path, has_log=has_log)
     except sqlite3.Error as error:
         raise DamageError(Damage.BROKEN_BAG(reason=error)) from None
     with closing(bag):
@@ -140,6 +154,12 @@ def opened_bag(path: Path) -> Iterator[SqliteBag]:
         for pragma in ("trusted_schema = OFF", "query_only = ON", "mmap_size = 0", "cell_size_check = ON"):
             bag.execute(f"PRAGMA {pragma}")
         yield SqliteBag(bag, size)
+
+
+def _opened(path: Path, *, has_log: bool) -> sqlite3.Connection:
+    # Without a log of what was written last, the file is read as it is: no other file is made or locked beside it.
+    uri = f"file:{quote(str(path.absolute()))}?mode=ro{'' if has_log else '&immutable=1'}"
+    return sqlite3.connect(uri, uri=True, isolation_level=None)
 
 
 def _columns(bag: sqlite3.Connection, table: str, needed: tuple[str, ...], known: tuple[str, ...] = ()) -> str:

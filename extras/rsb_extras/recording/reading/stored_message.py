@@ -119,7 +119,7 @@ def reading(path: Path) -> Iterator[None]:
     except ImportError:
         raise RecordingError(UnreadableRecording.NOT_INSTALLED()) from None
     except OSError as error:
-        raise RecordingError(UnreadableRecording.NOT_THERE(path=path, reason=error.strerror or error)) from None
+        raise RecordingError(UnreadableRecording.NOT_THERE(path=path, reason=error.strerror or error)) from error
     except Exception as error:  # noqa: BLE001
         raise DamageError(Damage.BROKEN(kind=type(error).__name__)) from None
 
