@@ -271,7 +271,7 @@ def test_association_waits_as_its_profile_says(
     pretend_linked(link, Control(link))
     link.lost("the cable is out", EventCode.LINK_LOST)
     for _ in range(int(seconds)):
-        assert link.is_suspended
+        assert link.suspended_since is not None
         loop.run_until_complete(asyncio.sleep(1.0))
     loop.run_until_complete(asyncio.sleep(0.1))
-    assert not link.is_suspended
+    assert link.suspended_since is None

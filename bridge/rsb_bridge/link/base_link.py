@@ -202,14 +202,9 @@ class BaseLink:
         return self.present is not None
 
     @property
-    def is_suspended(self) -> bool:
-        """Whether it has no connection, and its association lives on."""
-        return self.association is not None and self.present is None
-
-    @property
     def suspended_since(self) -> float | None:
         """When (s) its connection was lost, if its association lives on without one, or None."""
-        return self._lost_at if self.is_suspended else None
+        return self._lost_at if self.association is not None and self.present is None else None
 
     def carriers(self) -> set[ChannelCarrier]:
         return self.present.carriers() if self.present is not None else set()
@@ -227,7 +222,7 @@ class BaseLink:
 
     def open_channel(self, route: Route) -> None:
         """Open the channel of a route, or begin to; while the link is suspended, its next connection does."""
-        if not self.is_suspended:
+        if self.suspended_since is None:
             self.channels.open(route)
 
     # --- up and down

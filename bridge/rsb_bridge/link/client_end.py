@@ -445,7 +445,7 @@ class ClientEnd:
     def lost(self) -> None:
         self._longest = _LONGEST_DELAY_UNREACHED
         self._backoff.reset()
-        if self.link.is_suspended and self._context.now() - self._connected_at > _LASTING:
+        if self.link.suspended_since is not None and self._context.now() - self._connected_at > _LASTING:
             self._returning.reset()
             self._call_in(0.0)
         else:

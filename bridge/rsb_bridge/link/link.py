@@ -259,7 +259,7 @@ class LinkSnapshots:
         """Return what changes if anything happens to the link, apart from its figures."""
         link, status = self._link, self._link.status
         return (
-            status.cause, status.reason, status.attempts, link.connections, link.is_suspended, link.unsaved.there,
+            status.cause, status.reason, status.attempts, link.connections, link.suspended_since, link.unsaved.there,
             fault.cause, fault.warning,
         )  # fmt: skip
 

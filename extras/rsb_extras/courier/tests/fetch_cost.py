@@ -17,6 +17,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
+from unittest.mock import patch
 
 import msgspec
 from tests.simulation.conditions import STILL
@@ -35,6 +36,7 @@ from rsb_extras.courier.courier_records import Wanted
 from rsb_extras.courier.courier_requests import FetchRecording, FetchReport, FetchState, ListFetches, ListRecordings
 from rsb_extras.courier.fetch_spool import AskedFetch, FetchSpool
 from rsb_extras.courier.link_courier import LinkCourier
+from rsb_extras.courier.slices import SliceJoiner
 from rsb_extras.courier.tests.bags import messages
 from rsb_extras.recording.mcap_file import new_recording
 from rsb_extras.recording.reading.open_recording import OpenRecording
@@ -95,7 +97,11 @@ def topic_beside(seed: int, size: int, bags: Path, *, fetches: bool, line: Line 
     robot.host.session = msgspec.structs.replace(robot.host.session, topics=(entry,), features=_robot_features(bags))
     flow = world.add_topic_flow(robot, entry, world.random("flows"))
     flow.qos, flow.period, flow.size = Qos(reliability="best_effort"), 1 / 20, size
-    found: list[Beside] = []
+    found, slices, add = list[Beside](), list[int](), SliceJoiner.add
+
+    def counted(joiner: SliceJoiner, number: int, offset: int, whole: int, part: bytes) -> bytes | None:
+        slices.append(len(part))
+        return add(joiner, number, offset, whole, part)
 
     async def live() -> None:
         await asyncio.sleep(20.0)
@@ -108,29 +114,24 @@ def topic_beside(seed: int, size: int, bags: Path, *, fetches: bool, line: Line 
         here, there = world.link_ends(robot) or (None, None)
         assert here is not None
         assert there is not None
-        getting, spool, courier = None, None, there.extensions.find(LinkCourier)
+        getting = None
         if fetches:
             spool = await _spool(there)
-            getting = asyncio.ensure_future(courier.receive(spool.row))
+            getting = asyncio.ensure_future(there.extensions.find(LinkCourier).receive(spool.row))
         await asyncio.sleep(_SETTLED)
-        heard, taken = flow.heard, _come(courier, spool)
+        heard, before = flow.heard, sum(slices)
         await asyncio.sleep(_SECONDS)
         shown = next(each for each in here.routes.values() if each.local_topic.endswith("/odom")).snapshot()
-        got = (_come(courier, spool) - taken) / _SECONDS
+        got = (sum(slices) - before) / _SECONDS
         rate = (flow.heard - heard) / _SECONDS
         found.append(Beside(rate, shown.latency_p50 or 0.0, shown.latency_p99 or 0.0, got))
         if getting is not None:
             assert not getting.done(), getting.exception()
             getting.cancel()
 
-    world.play(life=live())
+    with patch.object(SliceJoiner, "add", counted):
+        world.play(life=live())
     return found[0]
-
-
-def _come(courier: LinkCourier, spool: FetchSpool | None) -> int:
-    """Return the bytes of pieces that have come, also of the one that is not whole."""
-    receiving = courier._receiving
-    return 0 if spool is None or receiving is None else spool.taken + len(receiving.joiner._piece)
 
 
 async def _spool(link: Link) -> FetchSpool:
