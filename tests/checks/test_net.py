@@ -109,6 +109,12 @@ def test_rest_is_run_after_a_lost_worker(net: Net) -> None:
     assert (net.runs(0), net.runs(1), net.runs(2)) == (2, 1, 1)
 
 
+def test_interrupt_beside_a_lost_worker_ends_all(net: Net) -> None:
+    interrupts = "import time\n\ndef test_interrupted():\n    time.sleep(1)\n    raise KeyboardInterrupt\n"
+    assert net(*LANES, a=ENDS.format(number=0), b=interrupts) == 2
+    assert net.runs(0) == 1
+
+
 def test_two_lost_workers_are_red(net: Net) -> None:
     """Though each would pass the next time."""
     assert net(*LANES, a=ENDS.format(number=0), b=PASSES) == 0

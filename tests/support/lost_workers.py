@@ -45,7 +45,7 @@ class _Run:
             node.workerinput["passed"] = self._config.cache.get(_PASSED, [])
 
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
-        if self._lost:
+        if self._lost and session.exitstatus != pytest.ExitCode.INTERRUPTED:
             self._config.cache.set(_PASSED, [nodeid for nodeid, passed in self._passed.items() if passed])
             session.exitstatus = LOST
 
