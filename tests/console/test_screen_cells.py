@@ -292,6 +292,17 @@ def test_text_in_the_place_of_a_picture_goes_before_the_picture_comes() -> None:
     assert all(line.count("▀") == picture.width for line in emulator.screen.display)
 
 
+def test_wide_character_may_reach_into_the_place_of_a_picture() -> None:
+    ours, emulator, picture = screen_cells(), Emulator(), Region(4, 0, 8, SIZE.height)
+    drawn(ours, *((y, 0, "x" * SIZE.width, PLAIN) for y in range(SIZE.height)))
+    emulator.take(ours.next(INF, [(picture, USUAL)]).text)
+    drawn(ours, *((y, 3, "世" + "▀" * 7, PLAIN) for y in range(SIZE.height)))
+    while (frame := ours.next(10, [(picture, LAST)])).lacks is not None:
+        emulator.take(frame.text)
+    emulator.take(frame.text)
+    assert all("xxx世" in line and line.count("▀") == 7 for line in emulator.screen.display)
+
+
 def test_picture_waits_whose_cells_have_looks_of_their_own() -> None:
     ours, picture = screen_cells(), Region(0, 0, SIZE.width, SIZE.height)
     ours.next(INF)

@@ -233,7 +233,8 @@ class ScreenCells:
     def _remains(self, runs: Sequence[CellRun], pictures: Sequence[Region]) -> Iterator[CellRun]:
         """Yield texts in the place of a picture that will take long, such as a question that was answered."""
         for _, y, left, right, _, _ in filter(lambda run: run.rank == LAST, runs):
-            edge = next(each.x for each in pictures if each.contains(left, y)) - 1
+            # A wide character before a picture begins a run outside of it.
+            edge = next((each.x for each in pictures if each.contains(left, y)), left) - 1
             look = CellLook("", "", self._wanted[y][edge].look.paper if edge >= 0 else _OWN_PAPER)
             remains = (is_text and self._shown[y][x] != _blank(look) for x, is_text in enumerate(self._texts[y]))
             begin = left
