@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import sys
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, TypeVar, cast
@@ -311,6 +312,24 @@ def test_nothing_old_and_nothing_unarmed_gets_to_ros(make_context: Callable[...,
     assert arriving == [lease_gate, rate_gate]
     assert leaving == [lease_gate, age_gate]
     assert order(armed_gates(receiver.route)) == [armed_gate]
+
+
+@pytest.mark.parametrize("max_age", [0.0, 0.5])
+def test_what_is_too_old_is_not_new_from_another_node(
+    max_age: float, make_context: Callable[..., Context], loop: VirtualLoop, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A robot would drive to a goal of yesterday: only the sender knows what is young enough to be published again."""
+    ros = OnePublisher()
+    context = make_context(ros=ros)
+    monkeypatch.setattr(ros.mirrors, "node_of", lambda _: "/planner")
+    receiver = opened(context, FakePeer(), "/goal", Qos(durability="transient_local", depth=1))
+    receiver.route.age.settle((max_age,), armed=False)
+    receiver.deliver([(b"drive there", context.stamps.now(), 0)])
+    assert ros.published.sizes == [11]
+    loop.run_until_complete(asyncio.sleep(60.0))
+    receiver.move()
+    loop.run_until_complete(asyncio.sleep(1.0))
+    assert ros.published.sizes == ([11] if max_age else [11, 11])
 
 
 def test_calls_pass_them_from_callers_to_the_channel(make_context: Callable[..., Context]) -> None:

@@ -472,6 +472,8 @@ class SourcePublishers:
             RosError: there can be none.
             LatchedFullError: the link's latched topics keep too much.
         """
+        if self.needs_sender:
+            return False
         moved = [sink.move() for sink in self.sinks]
         # Without a message, nothing else looks.
         self._route.context.loop.call_later(_MATCHED_WITHIN, self._settle)
@@ -529,8 +531,8 @@ class SourcePublishers:
 
     @property
     def needs_sender(self) -> bool:
-        """Whether only the sender can repeat what late joiners get."""
-        return any(topic.needs_sender for topic in self._latched())
+        """Whether only the sender can repeat what late joiners get: it knows what is too old for that."""
+        return self.has_kept if self._route.age.is_on else any(topic.needs_sender for topic in self._latched())
 
     def present(self, publishers: Mapping[bytes, int]) -> None:
         """Take the publishers that the sending side has now, and their depths as far as it has found them."""
