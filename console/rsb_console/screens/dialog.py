@@ -10,6 +10,7 @@ from rich.cells import cell_len
 from textual import work
 from textual.binding import Binding
 from textual.containers import Horizontal, Vertical, VerticalScroll
+from textual.content import Content
 from textual.screen import ModalScreen
 from textual.widgets import Button, Static
 
@@ -78,7 +79,7 @@ class Dialog(Vertical):
 
     def __init__(self, title: str, *widgets: Widget, keys: str, shape: str = "-wide") -> None:
         super().__init__(*widgets, KeyHints(keys), classes=f"dialog {shape}")
-        self.border_title = title
+        self.border_title = Content(title)  # plain text: names of the other side may look like markup
 
 
 class FullScreen(ModalScreen[T]):
@@ -140,7 +141,7 @@ class ConfirmScreen(ModalScreen[bool], GuardedScreen):
 
     def compose(self) -> ComposeResult:
         with Vertical(classes=f"dialog {self.SHAPE}") as dialog:
-            dialog.border_title = self._title
+            dialog.border_title = Content(self._title)
             with self._scrolled:
                 yield Static(self._title, classes="title", markup=False)
                 yield from self.compose_message()

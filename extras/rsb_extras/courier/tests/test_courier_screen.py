@@ -137,6 +137,29 @@ def test_what_is_missing_after_a_completion_is_shown(monkeypatch: pytest.MonkeyP
     drive(scripted_app(), steps, NARROW)
 
 
+def test_names_of_the_other_side_are_no_markup(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Textual would end the console for a tag that nothing opens."""
+    named = "noon.mcap[/red][1]"
+    known: Any = answers()
+    groups = known[ListRecordings](ListRecordings())
+    there = (replace(group, recordings=(replace(DRIVE, name=named),)) if group.link else group for group in groups)
+    monkeypatch.setitem(known, ListRecordings, lambda _, there=(*there,): there)
+    with_fetches(
+        monkeypatch, replace(COMPLETE, name=f"robot1-{named}", recording=named), replace(FETCH, recording=named)
+    )
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await opened(pilot, "j", "c")
+        await shown(pilot, f"Complete {named} of the server")
+        await pilot.press("escape", "m")
+        await shown(pilot, f"robot1-{named}")
+        await pilot.press("escape", "x")
+        await shown(pilot, f"Give up {FETCH.name}?")
+        await pilot.press("n")
+
+    drive(scripted_app(), steps, WIDE)
+
+
 def test_a_completion_under_way_is_awaited(monkeypatch: pytest.MonkeyPatch) -> None:
     """Beside a fetch of all, both are shown, and the one under way is given up."""
     running = replace(FETCH, name="robot1-completed", completes=True)
