@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, ClassVar, TypeVar
 
 from textual.binding import Binding
 from textual.containers import Horizontal, Vertical
+from textual.content import Content
 from textual.widgets import Button
 
 from rsb_bridge.config.fields_text import read_fields
@@ -53,7 +54,7 @@ class ByHandScreen(FormScreen[T]):
 
     def compose(self) -> ComposeResult:
         with Vertical(classes=f"dialog {self._look}") as dialog:
-            dialog.border_title = self._title
+            dialog.border_title = Content(self._title)
             yield self.state
             yield self.form
             yield self.form.problem

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, ClassVar
 import msgspec
 from textual.binding import Binding
 from textual.containers import Vertical, VerticalScroll
+from textual.content import Content
 from textual.screen import ModalScreen
 from textual.widgets import Static
 
@@ -290,7 +291,7 @@ class HandoutScreen(ModalScreen[None]):
 
     def compose(self) -> ComposeResult:
         with Vertical(classes="dialog -wide") as dialog:
-            dialog.border_title = self._title
+            dialog.border_title = Content(self._title)
             with VerticalScroll(classes="handout"):
                 for changed in self._handed:
                     yield Static(self._about(changed), markup=False)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from textual import work
 from textual.binding import Binding
+from textual.content import Content
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.snapshot import State
@@ -93,8 +94,8 @@ class MessageScreen(FullScreen[bool]):
 
     def compose(self) -> ComposeResult:
         self._pane = ScrolledLines(classes="dialog -whole")
-        self._pane.border_title = f" {escape_text(self._route.topic)} "
-        self._pane.border_subtitle = _KEYS.format(other=f"t {self._other} · " if self._other else "")
+        self._pane.border_title = Content(f" {escape_text(self._route.topic)} ")
+        self._pane.border_subtitle = Content(_KEYS.format(other=f"t {self._other} · " if self._other else ""))
         yield self._pane
 
     def on_mount(self) -> None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 
 from textual.binding import Binding
 from textual.containers import Horizontal, Vertical, VerticalScroll
+from textual.content import Content
 from textual.screen import ModalScreen
 from textual.widgets import Button, Static
 
@@ -189,7 +190,7 @@ class ChangedScreen(ModalScreen[ChangedAnswer]):
     def compose(self) -> ComposeResult:
         with Vertical(classes="dialog -wide") as dialog:
             title = SaveText.CHANGED_ON_DISK(file=self._path.name)
-            dialog.border_title = title
+            dialog.border_title = Content(title)
             yield Static(title, classes="title", markup=False)
             with self._scrolled:
                 yield Static(

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 from rich.cells import cell_len
 from rich.segment import Segment
 from textual.binding import Binding
+from textual.content import Content
 from textual.geometry import Region, Size
 from textual.scroll_view import ScrollView
 from textual.strip import Strip
@@ -134,7 +135,7 @@ class LiveLines(ScrollView):
         """Set the title on the border; Textual would redraw the pane even for the same one."""
         if title != self._title:
             self._title = title
-            self.border_title = title
+            self.border_title = Content(title)
 
     def on_resize(self) -> None:
         self._drawn.clear()

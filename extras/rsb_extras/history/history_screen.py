@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple
 from rich.cells import cell_len
 from textual import work
 from textual.binding import Binding
+from textual.content import Content
 
 from rsb_bridge.feature_api import EngineError, State, Wording, why_not_written
 from rsb_console.feature_console import (
@@ -226,7 +227,7 @@ class HistoryScreen(FilteredScreen[None]):
             HistoryText.BY_TOPIC() if self._by_topic else "",
         ]
         parts.append("" if self.pattern is None else f"/{self.pattern.text}")
-        self.query_one(Dialog).border_title = " ▸ ".join(part for part in parts if part)
+        self.query_one(Dialog).border_title = Content(" ▸ ".join(part for part in parts if part))
         if report is None:
             self.summary.put([((self._problem or "asking the bridge", "down" if self._problem else "dim"),)])
             return

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from textual import work
 from textual.binding import Binding
+from textual.content import Content
 from textual.screen import ModalScreen
 
 from rsb_bridge.feature_api import EngineError, Wording
@@ -151,7 +152,7 @@ class NodesScreen(FilteredScreen[str | None]):
         feed = self.feed
         parts = ["Nodes", feed.side_name, "faults only" if self._faults_only else ""]
         parts.append("" if self.pattern is None else f"/{self.pattern.text}")
-        self.query_one(Dialog).border_title = " ▸ ".join(filter(None, parts))
+        self.query_one(Dialog).border_title = Content(" ▸ ".join(filter(None, parts)))
         width = self.summary.size.width or _WIDTH
         self.summary.put([line for part, look in feed.summary for line in wrapped(part, width, look)])
         self.table.show(self._tree())

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from rich.cells import cell_len
 from textual.binding import Binding
+from textual.content import Content
 
 from rsb_bridge.feature_api import escape_text, one_line
 from rsb_console.feature_console import DONE, FAILED, FullScreen, ScrolledLines, clip
@@ -79,7 +80,7 @@ class OutputScreen(FullScreen[None]):
 
     def compose(self) -> ComposeResult:
         self._pane = OutputPane(classes="dialog -whole")
-        self._pane.border_title = f" {escape_text(self._title)} "
+        self._pane.border_title = Content(f" {escape_text(self._title)} ")
         yield self._pane
 
     def on_mount(self) -> None:
@@ -102,7 +103,7 @@ class OutputScreen(FullScreen[None]):
         if now != self._drawn:
             self._drawn = now
             follows = pane.scroll_offset.y >= pane.max_scroll_y - 1
-            self._pane.border_subtitle = _KEYS_WHILE_IT_RUNS if command.code is None else _KEYS
+            self._pane.border_subtitle = Content(_KEYS_WHILE_IT_RUNS if command.code is None else _KEYS)
             pane.show([self._state(), *self._output(width)])
             if follows:
                 pane.scroll_end(animate=False)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from textual import on, work
 from textual.binding import Binding
+from textual.content import Content
 from textual.widgets import Input
 
 from rsb_bridge.feature_api import EngineError, Wording, escape_text
@@ -163,7 +164,7 @@ class FieldChooser(SearchScreen[tuple[str, ...]]):
 
     def _count(self) -> None:
         """Show what is chosen, and how many."""
-        self.dialog.border_title = ChooserText.TITLE(count=len(self._chosen), most=MOST_CURVES)
+        self.dialog.border_title = Content(ChooserText.TITLE(count=len(self._chosen), most=MOST_CURVES))
         self.relist()
 
     def _open(self, topic: str) -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, ClassVar
 from textual import work
 from textual.binding import Binding
 from textual.containers import Horizontal, Vertical
+from textual.content import Content
 
 from rsb_bridge.feature_api import Wording, escape_text
 from rsb_bridge.model.snapshot import PEEK_LIMIT, PeekedMessage
@@ -132,7 +133,7 @@ class ReviewScreen(FullScreen[None]):
         self._wanted = asyncio.Event()
 
     def compose(self) -> ComposeResult:
-        self._topics.border_title = f" {escape_text(self._recording.path.name)} "
+        self._topics.border_title = Content(f" {escape_text(self._recording.path.name)} ")
         self._topics.border_subtitle = " ↑ ↓ topic "
         with Horizontal(id="review"):
             yield self._topics

@@ -1,0 +1,37 @@
+"""Titles of borders are plain text: Textual reads a `str` as markup, which a peer's name may break."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+import rsb_console
+import rsb_extras
+
+FOLDERS = [Path(str(package.__file__)).parent for package in (rsb_console, rsb_extras)]
+
+
+def markup(source: str) -> list[str]:
+    """The titles that are neither written out nor `Content`."""
+    given = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Assign)]
+    titles = [each for each in given if ast.unparse(each.targets[0]).endswith((".border_title", ".border_subtitle"))]
+    return [
+        ast.unparse(each)
+        for each in titles
+        if not isinstance(each.value, ast.Constant) and not ast.unparse(each.value).startswith("Content(")
+    ]
+
+
+@pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
+def test_titles_are_plain(folder: Path) -> None:
+    files = (path for path in folder.rglob("*.py") if "tests" not in path.parts)
+    sources = {path: path.read_text(encoding="utf-8") for path in files}
+    assert sources
+    assert {path: found for path, source in sources.items() if (found := markup(source))} == {}
+
+
+def test_markup_is_found() -> None:
+    source = "self.border_title = name\nself.border_title = 'Help'\nself.border_subtitle = Content(name)"
+    assert markup(source) == ["self.border_title = name"]
