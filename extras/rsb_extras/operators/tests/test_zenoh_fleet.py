@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import functools
 import time
 from contextlib import closing
@@ -16,7 +17,7 @@ from tests.support.waiting import eventually
 from tests.support.wording import pattern, says
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.control.control_sockets import UnclearError
+from rsb_bridge.control.control_sockets import ControlError, UnclearError
 from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.control.sealed import OperatorRefused
 from rsb_bridge.control.summaries import SummaryBuilder
@@ -137,11 +138,17 @@ def test_engine_is_announced_in_networks_next_session(fleet: Fleet) -> None:
     """A link over Zenoh whose path has changed opens the network anew; the console that is attached goes on."""
     fleet.add("robot1")
     before = fleet.attach("robot1")
+
+    def attached() -> RemoteEngine | None:
+        with contextlib.suppress(ControlError):  # a busy router may answer late
+            return fleet.attach("robot1")
+        return None
+
     with stranger(fleet.router) as somebody:
         first = announced(somebody)
         asyncio.run(fleet.networks["robot1"].open(lambda: True))
         eventually(lambda: len(announced(somebody)) == 1 and announced(somebody) != first)
-        fleet.attach("robot1").retry().result(60)
+        eventually(attached).retry().result(60)
         before.retry().result(60)
     assert fleet.engines["robot1"].commands == [("retry", ""), ("retry", "")]
 
