@@ -10,22 +10,20 @@ import gc
 import warnings
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 from tests.console.driving import on_main, until
+from tests.support.screen_sources import FOLDERS, found_in
 
-import rsb_console
-import rsb_extras
 from rsb_console.actions.all_actions import BY_ID
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from textual.pilot import Pilot
 
     from rsb_console.app import ConsoleApp
-
-FOLDERS = [Path(str(package.__file__)).parent for package in (rsb_console, rsb_extras)]
 
 MADE_LATER = ("partial", "call_of")
 
@@ -40,10 +38,7 @@ def coroutines(source: str) -> list[str]:
 
 @pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
 def test_workers_get_functions(folder: Path) -> None:
-    files = (path for path in folder.rglob("*.py") if "tests" not in path.parts)
-    sources = {path: path.read_text(encoding="utf-8") for path in files}
-    assert sources
-    assert {path: found for path, source in sources.items() if (found := coroutines(source))} == {}
+    assert found_in(folder, coroutines) == {}
 
 
 def test_coroutine_is_found() -> None:

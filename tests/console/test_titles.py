@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import ast
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
+from tests.support.screen_sources import FOLDERS, found_in
 
-import rsb_console
-import rsb_extras
-
-FOLDERS = [Path(str(package.__file__)).parent for package in (rsb_console, rsb_extras)]
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 def markup(source: str) -> list[str]:
@@ -26,10 +25,7 @@ def markup(source: str) -> list[str]:
 
 @pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
 def test_titles_are_plain(folder: Path) -> None:
-    files = (path for path in folder.rglob("*.py") if "tests" not in path.parts)
-    sources = {path: path.read_text(encoding="utf-8") for path in files}
-    assert sources
-    assert {path: found for path, source in sources.items() if (found := markup(source))} == {}
+    assert found_in(folder, markup) == {}
 
 
 def test_markup_is_found() -> None:

@@ -204,10 +204,10 @@ class ScreenCells:
 
         pen, spans, doubted = _Pen(most, self._look, erases=self.erases), [], set()
         runs = [*self._runs(ranks)]
-        fits = self._size(runs) <= most
-        waiting = [] if fits or not rest_waits else [run for run in runs if run.rank > LINES]
-        if not fits:
-            runs += self._remains(runs, [region for region, rank in ranks if rank == LAST])
+        pictures, waiting = [region for region, rank in ranks if rank == LAST], []
+        if (pictures or rest_waits) and self._size(runs) > most:
+            waiting = [run for run in runs if run.rank > LINES] if rest_waits else []
+            runs += self._remains(runs, pictures)
         if waiting:
             runs = [run for run in runs if run.rank <= LINES]
         for run in self._in_order(runs, most):

@@ -8,7 +8,7 @@ from rsb_bridge.feature_api import Wording
 from rsb_console.feature_console import Field, FormScreen, Spec
 from rsb_console.notation.formats import byte_count
 from rsb_extras.courier.courier_command import texts_of
-from rsb_extras.courier.courier_records import MOST_TOPICS
+from rsb_extras.courier.courier_records import MARGIN, MOST_TOPICS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -19,8 +19,6 @@ _HEAD = 20
 """Bytes that cross for each message, whether or not it came live (docs/courier-figures.md)."""
 _MOST_OFFERED = 16
 """Recordings of this side to choose from. A round figure: `record get --with` takes any."""
-_MARGIN = 120 * 1_000_000_000
-"""ns that a recording of this side may begin after the other one's end, or end before its begin: clocks differ."""
 
 
 class CompletingText(Wording):
@@ -61,7 +59,7 @@ class CompletingForm(FormScreen[tuple[tuple[str, ...], str]]):
 
 
 def _overlapping(recording: ListedRecording, here: Sequence[ListedRecording]) -> list[ListedRecording]:
-    begin, end = recording.begin - _MARGIN, (recording.end or recording.begin) + _MARGIN
+    begin, end = recording.begin - MARGIN, (recording.end or recording.begin) + MARGIN
     return [each for each in here if each.begin <= end and begin <= max(each.begin, each.end)][:_MOST_OFFERED]
 
 

@@ -22,6 +22,9 @@ MOST_RECORDINGS = 512
 PAGE = 16
 """The most recordings of an answer."""
 LATEST = (1 << 63) - 1
+MARGIN = 120 * 1_000_000_000
+"""ns before and after a recording in which those of this side complete it, too: a message may be late, and clocks
+differ. A round figure."""
 _LAST_DATE = 4_000_000_000_000_000_000
 """ns since the epoch, 2096: what comes later has no date on every machine."""
 

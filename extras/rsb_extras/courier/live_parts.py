@@ -10,7 +10,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.feature_api import LinkError, Wording, file_stem
-from rsb_extras.courier.courier_records import called
+from rsb_extras.courier.courier_records import MARGIN, called
 from rsb_extras.courier.fetch_spool import check_room
 from rsb_extras.history.bridge_files import claimed_roles
 from rsb_extras.recording.keep_last import RING
@@ -29,8 +29,6 @@ if TYPE_CHECKING:
 
 LIVE = "live"
 """The name of the folder of a fetch with what came live."""
-_MARGIN = 120 * 1_000_000_000
-"""ns before and after the span that are looked at, too: a message may be late. A round figure."""
 _QUIET_FOR = 60.0  # s without a change, after which nothing is expected to write to a database. A round figure
 _MOST_FILES = 4096  # that are linked. A round figure: rings have 32 segments, and stretches about as many
 
@@ -90,7 +88,7 @@ def overlapping(files: Iterable[Path], topics: Iterable[str], begin: int, end: i
             status = path.stat()
             summary = OpenRecording(path).summary
             has = any(name in wanted and count for name, (_, count) in summary.topics.items())
-            if has and summary.begin <= end + _MARGIN and summary.end >= begin - _MARGIN:
+            if has and summary.begin <= end + MARGIN and summary.end >= begin - MARGIN:
                 part = LivePart(path, summary.begin, summary.end)
                 found.setdefault((status.st_dev, status.st_ino), part)
     if not found:
