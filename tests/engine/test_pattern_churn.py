@@ -29,8 +29,9 @@ if TYPE_CHECKING:
 TYPE, HASH = "std_msgs/msg/String", "RIHS01_" + "1" * 64
 TOPICS = 20
 """At a time; a pattern may bridge 100."""
-KEPT = {"TrackRecord", "MinuteSeries", "Ended", "_Open", "Event"}
-"""History and events have limits of their own (docs/budgets.md)."""
+KEPT = {"TrackRecord", "MinuteSeries", "Ended", "_Open", "Event", "Sought"}
+"""History, events, and answers of searches have limits of their own (docs/budgets.md). Topics that wait for their
+publisher for long, as on a busy machine, are searched for."""
 
 
 class Ros(NoRos):
