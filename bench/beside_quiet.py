@@ -4,7 +4,8 @@ Each bed has two linked sides of ours, a talker and a listener of one topic, and
 a subscription each, and no message. All beds stand at once, each in two ROS domains of its own, and take turns.
 ``--other FOLDER`` adds the same beds of another checkout, in the same turns; ``--peer`` adds them with
 zenoh-bridge-ros2dds; ``--many 100`` adds a bed of so many topics at 10 Hz of 500 B each: both sides' CPU by thread, and
-in ratio to the first bed of the same round.
+in ratio to the first bed of the same round. ``--express`` adds to these a topic that is `express` at 20 Hz, which is
+measured after the CPU.
 """
 
 from __future__ import annotations
@@ -17,11 +18,14 @@ import sys
 import tempfile
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from bench import bed, zenoh_bridge
 from bench.figures import Figures, in_turn
+from bench.quiet_side import EXPRESS
 
 from rsb_bridge.cdr.known_types import STRING, STRING_HASH, stamped_string
 from rsb_bridge.config.keys import write_key
@@ -44,6 +48,7 @@ _MANY_SETTLES = 15.0
 """s of messages before these count: a robot's topics flow for hours, and a route is looked at more often until it has
 settled after a pause (`rsb_bridge.route.idling.SETTLES`)."""
 _USER_PROFILES = "RMW_FASTRTPS_USE_QOS_FROM_XML"
+_EXPRESS_RATE, _EXPRESS_SIZE = 20.0, 60
 _SHOWN = 0.3  # µs a message of a thread that is shown
 _SLEPT = re.compile(r"^voluntary_ctxt_switches:\s*(\d+)", re.MULTILINE)
 _FEW, _KEPT_UP = 0.99, 0.9
@@ -58,12 +63,14 @@ class Plan(NamedTuple):
         quiet: topics without.
         folder: a checkout of the bridge, or an empty string for this one.
         peer: whether zenoh-bridge-ros2dds takes the bridge's place.
+        express: whether a topic that is `express` is beside many.
     """
 
     busy: int = 1
     quiet: int = 0
     folder: str = ""
     peer: bool = False
+    express: bool = False
 
     @property
     def name(self) -> str:
@@ -73,6 +80,17 @@ class Plan(NamedTuple):
         return f"{topics}, other" if self.folder else topics
 
 
+@dataclass(slots=True)
+class _ManyBed(bed.Bed):
+    """A bed of many topics.
+
+    Attributes:
+        express: a talker and a listener of a topic that is `express`, in the same domains, or None.
+    """
+
+    express: bed.Bed | None = None
+
+
 def main(arguments: Sequence[str]) -> None:
     parser = argparse.ArgumentParser(prog="python -m bench.quiet table")
     parser.add_argument("rounds", nargs="?", type=int, default=3)
@@ -80,6 +98,7 @@ def main(arguments: Sequence[str]) -> None:
     parser.add_argument("--many", type=int, default=0)
     parser.add_argument("--other", default="")
     parser.add_argument("--peer", action="store_true", help="the same beds with zenoh-bridge-ros2dds")
+    parser.add_argument("--express", action="store_true", help="a topic that is express beside the many")
     parser.add_argument("--settles", type=float, default=0.0, help="s after all is open: routes rest after 140")
     options = parser.parse_args(arguments)
     bridges = [Plan()]
@@ -89,7 +108,7 @@ def main(arguments: Sequence[str]) -> None:
         zenoh_bridge.check_built()
         bridges.append(Plan(peer=True))
     plans = [bridge._replace(quiet=int(count)) for count in options.quiet.split(",") for bridge in bridges]
-    plans += [bridge._replace(busy=options.many) for bridge in bridges if options.many]
+    plans += [bridge._replace(busy=options.many, express=options.express) for bridge in bridges if options.many]
     figures = Figures()
     with contextlib.ExitStack() as stack:
         beds = {
@@ -122,12 +141,14 @@ def _standing(plan: Plan, near: int) -> Iterator[bed.Bed]:
         else:
             talker = stack.enter_context(bed.Process("-m", "bench.quiet", "talk", str(near), *busy))
             listener = stack.enter_context(bed.Process("-m", loopback.TRAFFIC, "listen", str(far), *busy))
-            made = bed.Bed(talker, listener)
+            express = stack.enter_context(loopback.ends(near, far)) if plan.express else None
+            made = _ManyBed(talker, listener, express=express)
         if quiet:
             for part, domain in (("publish", near), ("subscribe", far)):
                 process = stack.enter_context(bed.Process("-m", "bench.quiet", part, str(domain), *quiet))
                 process.line()
-        between = zenoh_bridge.between(near, far) if plan.peer else _sides(plan.folder, near, far, [*busy, *quiet])
+        names = [*busy, *quiet, *[bed.TOPIC + EXPRESS] * plan.express]
+        between = zenoh_bridge.between(near, far) if plan.peer else _sides(plan.folder, near, far, names)
         made.between += stack.enter_context(between)
         yield bed.ready(made) if plan.busy == 1 else made
 
@@ -195,6 +216,17 @@ def _measure_many(figures: Figures, number: int, plan: Plan, made: bed.Bed) -> N
         figures.add(number, plan.name, "many both", both)
     for name in ("p50", "p99"):
         figures.add(number, plan.name, f"many {name}", report[name] / 1e6)
+    if isinstance(made, _ManyBed) and made.express is not None:
+        _measure_express(figures, number, plan, made, made.express)
+
+
+def _measure_express(figures: Figures, number: int, plan: Plan, many: bed.Bed, express: bed.Bed) -> None:
+    with ThreadPoolExecutor(1) as beside:
+        talks = beside.submit(many.talker.ask, f"talk {_MANY_SECONDS}")
+        run = express.send(_EXPRESS_RATE, 0.9 * _MANY_SECONDS, _EXPRESS_SIZE)
+        talks.result()
+    for name, found in (("p50", run.p50), ("p99", run.p99), ("lost", 100 * (run.sent - run.received) / run.sent)):
+        figures.add(number, plan.name, f"express {name}", found)
 
 
 class _Thread(NamedTuple):
@@ -251,6 +283,9 @@ def _print_many(figures: Figures, name: str, first: str) -> None:
     print(f"  {_cell(figures, name, 'many 0')} + {_cell(figures, name, 'many 1')} % of a core, p50 {p50}, p99 {p99} ms")
     if name != first and (ratio := figures.ratio(name, "many both", first)) is not None:
         print(f"  CPU of both sides {ratio.middle:.2f} ({ratio.low:.2f}–{ratio.high:.2f}) × of {first}")
+    if figures.names(name, "express "):
+        p50, p99, lost = (_cell(figures, name, f"express {each}", ".2f") for each in ("p50", "p99", "lost"))
+        print(f"  express beside them: p50 {p50}, p99 {p99} ms, lost {lost} %")
     for at, side in enumerate(("sending", "receiving")):
         of_side = f"many CPU {at} "
         used = [(figures.spread(name, of_side + each), each) for each in figures.names(name, of_side)]
