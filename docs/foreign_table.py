@@ -20,8 +20,8 @@ _CASES = {
     "latched": "latched, the last 5 of 7 to a late joiner",
     "large": "1 MB, reliable, 10 at 2 Hz",
     "large_best_effort": "1 MB, best effort, 10 at 2 Hz",
-    "deadline": "deadline of 1 s: silence is told",
-    "liveliness": "lease of 2 s: silence is told",
+    "deadline": "deadline of 1 s: silence is reported",
+    "liveliness": "lease of 2 s: silence is reported",
     "lifespan": "lifespan of 2 s: a late joiner is spared 5",
     "enhanced": "10 calls (mapping Enhanced, Fast DDS's)",
     "basic": "10 calls by the mapping Basic",
@@ -36,7 +36,7 @@ _CASES = {
 _LARGE = "as stock nodes on Fast DDS: reliable, or [large messages](performance.md#fast-dds-within-a-machine)"
 _BUFFER = "a larger UDP buffer for Fast DDS where it hears this (below)"
 _KEY = "types with a key (below)"
-_NO_EVENTS = "its protocol tells of no such event: watch the time of the last message"
+_NO_EVENTS = "its protocol has no such event: watch the time of the last message"
 _DUST = "finite times on both ends (below)"
 _SHARED = {"large_best_effort": _LARGE}
 _REMEDIES: Mapping[str, Mapping[str, str]] = {
@@ -49,7 +49,7 @@ _REMEDIES: Mapping[str, Mapping[str, str]] = {
         "latched": "a late joiner hears all 7 that it keeps, now and then out of order: look at a stamp",
         "large": _BUFFER,
         "large_best_effort": _BUFFER,
-        "liveliness": "it hears the messages, and is not told: watch for a deadline there",
+        "liveliness": "it hears the messages, and has no event: watch for a deadline there",
         "lifespan": "its writer keeps what is too old: stamp messages, and look at the stamp",
         "own_key": _KEY,
     },
@@ -86,7 +86,7 @@ def _table(name: str, part: Mapping[str, Any]) -> str:
     beside = Counter(run["beside"] for run in runs).most_common(1)[0][0]
     days = sorted({run["seen"] for run in runs})
     lines = [
-        f"**{part['title']}**, seen on {' to '.join(dict.fromkeys((days[0], days[-1])))} beside {beside}\n",
+        f"**{part['title']}**, seen on {' to '.join(dict.fromkeys((days[0], days[-1])))} with a node of {beside}\n",
         "| case | it speaks: alone, robot's end, desk's end | it hears | what to do |",
         "|---|---|---|---|",
     ]
@@ -97,7 +97,7 @@ def _table(name: str, part: Mapping[str, Any]) -> str:
             speaks, hears = (_runs(ways.get(way, {})) for way in ("speaks", "hears"))
             remedy = "" if {speaks, hears} <= {"all", ""} else remedies.get(case, "")
             others = {run["beside"] for ends in ways.values() for run in ends.values()} - {beside}
-            lines.append(f"| {', beside '.join((words, *others))} | {speaks} | {hears} | {remedy} |")
+            lines.append(f"| {', with '.join((words, *others))} | {speaks} | {hears} | {remedy} |")
     return "\n".join(lines) + "\n"
 
 
