@@ -4,8 +4,8 @@ Each bed has two linked sides of ours, a talker and a listener of one topic, and
 a subscription each, and no message. All beds stand at once, each in two ROS domains of its own, and take turns.
 ``--other FOLDER`` adds the same beds of another checkout, in the same turns; ``--peer`` adds them with
 zenoh-bridge-ros2dds; ``--many 100`` adds a bed of so many topics at 10 Hz of 500 B each: both sides' CPU by thread, and
-in ratio to the first bed of the same round. ``--express`` adds to these a topic that is `express` at 20 Hz, which is
-measured after the CPU.
+in ratio to the first bed of the same round. ``--express`` adds a topic that is `express`, at 20 Hz, to these:
+its latency is measured after the CPU.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Plan(NamedTuple):
         quiet: topics without.
         folder: a checkout of the bridge, or an empty string for this one.
         peer: whether zenoh-bridge-ros2dds takes the bridge's place.
-        express: whether a topic that is `express` is beside many.
+        express: whether a bed of many has a topic that is `express`, too.
     """
 
     busy: int = 1
@@ -98,7 +98,7 @@ def main(arguments: Sequence[str]) -> None:
     parser.add_argument("--many", type=int, default=0)
     parser.add_argument("--other", default="")
     parser.add_argument("--peer", action="store_true", help="the same beds with zenoh-bridge-ros2dds")
-    parser.add_argument("--express", action="store_true", help="a topic that is express beside the many")
+    parser.add_argument("--express", action="store_true", help="add a topic that is express to the many")
     parser.add_argument("--settles", type=float, default=0.0, help="s after all is open: routes rest after 140")
     options = parser.parse_args(arguments)
     bridges = [Plan()]
@@ -285,7 +285,7 @@ def _print_many(figures: Figures, name: str, first: str) -> None:
         print(f"  CPU of both sides {ratio.middle:.2f} ({ratio.low:.2f}–{ratio.high:.2f}) × of {first}")
     if figures.names(name, "express "):
         p50, p99, lost = (_cell(figures, name, f"express {each}", ".2f") for each in ("p50", "p99", "lost"))
-        print(f"  express beside them: p50 {p50}, p99 {p99} ms, lost {lost} %")
+        print(f"  the express topic: p50 {p50}, p99 {p99} ms, lost {lost} %")
     for at, side in enumerate(("sending", "receiving")):
         of_side = f"many CPU {at} "
         used = [(figures.spread(name, of_side + each), each) for each in figures.names(name, of_side)]

@@ -372,7 +372,7 @@ class StreamPair:
 
     @property
     def trouble(self) -> tuple[object, ...]:
-        """What its routes' trouble follows from."""
+        """All that `_StreamEnd.trouble` of its routes depends on."""
         return tuple([each.number for each in self.stuck]), 0 if self.ready else len(self._waiting()), self.is_failing
 
     def lacks(self) -> tuple[bool, bool]:
@@ -520,7 +520,7 @@ class StreamPair:
 
     @property
     def lost_for(self) -> str:
-        """Why the last streams were lost, or did not come."""
+        """The reason why the last streams were lost, or never opened."""
         return self._lost_for.text or "none came"
 
     def _give_up(self) -> None:

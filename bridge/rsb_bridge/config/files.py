@@ -181,7 +181,7 @@ def sync_folder(folder: Path) -> None:
 
 
 def _is_for_all(folder: Path) -> bool:
-    """Whether every user may put files there, as in /tmp; only root can replace those of others."""
+    """Whether every user may create files there, as in /tmp, where only root can replace other users' files."""
     return bool(folder.stat().st_mode & stat.S_IWOTH)
 
 

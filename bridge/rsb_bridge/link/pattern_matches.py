@@ -1,4 +1,4 @@
-"""Which pattern of a link matches which name, in the graphs of both sides."""
+"""The names in the graphs of both sides that a link's patterns match."""
 
 from __future__ import annotations
 

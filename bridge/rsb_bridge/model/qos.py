@@ -143,7 +143,7 @@ def qos_problem(qos: Qos, *, depth_known: bool = True) -> str:
 
 
 _POLICIES = attrgetter("reliability", "durability", "deadline", "lifespan", "liveliness", "liveliness_lease_duration")
-"""Those that decide whether two endpoints match, of a `Qos`."""
+"""The policies of a `Qos` that decide whether two endpoints match."""
 
 
 def match_publishers(offered: Sequence[Qos]) -> Qos:

@@ -1,4 +1,4 @@
-"""What both sides of links have, in the shell: a table of it, and the side that has what an operator names."""
+"""Answers of both sides of links in the shell: their table, and the side that has a given name."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ def table_lines(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> Itera
 
 
 def problems_of(sides: Iterable[SideAnswer], link: str = "") -> dict[str, str]:
-    """Return why nothing is known of some sides, by their links.
+    """Return the reasons why some sides gave no answer, by their links.
 
     Raises:
-        EngineError: of the link that was asked for alone, nothing is known.
+        EngineError: the only link that was asked for gave none.
     """
     problems = {side.link: side.problem for side in sides if side.problem}
     if link and link in problems:

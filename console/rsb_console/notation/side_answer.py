@@ -1,4 +1,4 @@
-"""What a command answers for one side of a link, and the side in words."""
+"""The answer of a command for one side of a link, and the side in words."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class SideAnswer(Protocol):
 
     Attributes:
         link: the link to it, or empty for this side.
-        problem: why nothing is known of it, or empty.
+        problem: the reason why there is no answer, or empty.
     """
 
     @property

@@ -322,7 +322,7 @@ class ConsoleDriver(TerminalDriver):
 
     @property
     def knows_terminal(self) -> bool:
-        """Whether it is known what the terminal can show that is there now."""
+        """Whether the abilities of the present terminal are known."""
         return self.pulse.round_trip is None or self._known.is_known
 
     @property
@@ -335,7 +335,7 @@ class ConsoleDriver(TerminalDriver):
         return facts.erases and facts.kind != "" and facts.pixels != "sixel"
 
     def _doubt(self) -> None:
-        """Note that another terminal may be there, which has none of what was written. Signal handlers may call this.
+        """Assume another terminal, with an empty screen, from now on. Signal handlers may call this.
 
         The next frame sets its modes, and is of the whole screen.
         """
@@ -373,7 +373,7 @@ class ConsoleDriver(TerminalDriver):
         self._suit(before)
 
     def _meet_told(self) -> None:
-        """Take the kind that was told, unless the terminal before may have told it."""
+        """Take over the reported kind, unless the previous terminal may have sent it."""
         if not self.pulse.is_doubted:
             self._meet(self._kind_told)
 

@@ -1,7 +1,7 @@
-"""The terminal as it has told of itself, which may become another one.
+"""The facts of the present terminal, by its own answers.
 
-dtach and the like keep a program while its terminal goes, and another one comes. The environment describes the first
-one only: of another one nothing is known but its own answers, and it shows nothing yet of what the first one shows.
+Under dtach and the like a program outlives its terminal, and is attached to the next one. The environment describes the
+first one only: a later one is known by its answers alone, and begins with an empty screen.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ class KnownTerminal:
     """Facts of one terminal after another.
 
     Args:
-        facts: those of the first one, by the environment.
+        facts: of the first terminal, by the environment.
         environ: the environment.
 
     Attributes:
-        facts: of the present one.
-        swallows: whether it swallows a sequence that it does not know, and not shows it.
+        facts: of the present terminal.
+        swallows: whether it ignores sequences that it does not know, instead of showing them.
     """
 
     def __init__(
@@ -42,22 +42,22 @@ class KnownTerminal:
         self._kind: str | None = None
         self._first_kind: str | None = None
         self._next: TerminalFacts | None = None
-        """Facts of the present one, as far as it has told them, until it has told all."""
+        """Facts of the present terminal while its answers are not complete."""
         self._next_since = 0.0
         self._is_in_doubt = True
 
     def doubt(self) -> None:
-        """Note that another one may be there from now on. Signal handlers may call this."""
+        """Assume another terminal from now on. Signal handlers may call this."""
         self._is_in_doubt = True
 
     @property
     def is_in_doubt(self) -> bool:
-        """Whether another one may be there, which has not told its kind."""
+        """Whether there may be another terminal, whose kind has not come yet."""
         return self._is_in_doubt
 
     @property
     def is_known(self) -> bool:
-        """Whether the facts are those of the terminal that is there."""
+        """Whether the facts describe the present terminal."""
         asks = self._next is not None and self._clock() - self._next_since < _ANSWERS_WITHIN
         return not (self._is_in_doubt or asks)
 

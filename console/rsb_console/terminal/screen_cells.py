@@ -34,7 +34,7 @@ _OWN_INK, _OWN_PAPER = "39", "49"
 _JUMP: Final = 6
 """Cells that are written again rather than jumped over: a sequence that jumps is as long."""
 _PLACE, _LOOK = 8, 38
-"""Bytes of a sequence that gives a place, and of one that gives two colours of 24 bits."""
+"""Bytes of a sequence that moves the cursor, and of one that sets two colours of 24 bits."""
 _ERASED: Final = 12
 """Blank cells from which on a sequence that erases them, and one that jumps over them, are shorter."""
 _ERASE_TWO, _LAST_OF_PLANE_0 = "\x1b[2X", 0xFFFF

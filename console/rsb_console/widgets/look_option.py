@@ -1,4 +1,4 @@
-"""What can be looked at on a screen of its own, as features add it behind topics and tiles."""
+"""Things to look at on a screen of their own, which features add behind topics and tiles."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The lines of a tile that shows no topic's messages, as features add it beside pictures."""
+"""Tiles of text that features add to the pictures."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 
 
 class TileLines:
-    """What one such tile shows. It is made with the tile, and asked while that is in sight.
+    """The text of one tile. It is made with the tile, and asked for lines while the tile is in sight.
 
     Attributes:
-        name: as layouts and the list of what can be looked at have it; no topic's name.
-        about: what it shows, behind its name in that list.
+        name: in layouts and in the list of things to look at; no topic's name.
+        about: a description, behind the name in that list.
         link: the link to the robot that it is for, or an empty string for all of them.
     """
 
@@ -32,15 +32,15 @@ class TileLines:
         self.link = link
 
     async def renew(self) -> None:
-        """Ask an engine for what is to be shown. It is called each second, but not before it has returned."""
+        """Ask an engine for new figures. Called each second, once the call before has returned."""
 
     def lines(self, height: int) -> Sequence[Line]:
-        """Return the lines that are shown now, as far as there is room for."""
+        """Return at most `height` lines to show now."""
         raise NotImplementedError
 
     @property
     def routes(self) -> list[RouteSnapshot]:
-        """Those of the robot that it is for."""
+        """The routes of its robot."""
         return [each for each in self.console.snapshot().routes if self.link in ("", each.link)]
 
 

@@ -117,7 +117,7 @@ def serialize_message(message: Any) -> bytes:
 
 
 def _message_of(over_ones: bytes, over_zeros: bytes) -> bytes:
-    """Return what was written over zeros, without what was not written at its end, in whole words as DDS sends it."""
+    """Return the message, without the unwritten end in which the copies differ, in whole words as DDS sends it."""
     end = len(over_zeros)
     while over_ones[end - 1] != over_zeros[end - 1]:
         end -= 1

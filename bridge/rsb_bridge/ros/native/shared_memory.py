@@ -26,7 +26,7 @@ class ReadPorts:
         self._well: dict[str, int] = {}  # inodes by port, if the last whole look found all well
 
     def lost(self) -> frozenset[LostPort]:
-        """Return those that it reads at a file that senders no longer open."""
+        """Return the ports whose present file senders no longer open."""
         # A whole look takes several ms, of which messages would have to wait for the end.
         if self._well and all(_inode(port) == inode for port, inode in self._well.items()):
             return frozenset()
