@@ -35,7 +35,7 @@ Signs: TypeAlias = tuple[object, ...]
 
 
 class GoesOn(Protocol):
-    """What knows whether messages go on as before."""
+    """A half that knows whether messages go on as before."""
 
     def goes_on(self, now: float) -> bool:
         """Whether they have done so since the last tick, until `now` (s)."""

@@ -97,7 +97,7 @@ def mismatch(type_name: str, offered: Qos, subscription: Endpoint) -> Mismatch |
 
 
 def why_unmatched(endpoints: Iterable[Endpoint], *, refused: bool) -> str:
-    """Return what is known of why DDS does not match endpoints with the bridge's, and the remedy.
+    """Return the reason why DDS does not match endpoints with the bridge's, as far as it can be found, and the remedy.
 
     ROS shows neither partition, ownership, representation nor key. DDS refuses another ownership or representation as
     a policy, and tells nothing of another partition, key or type definition.
@@ -149,7 +149,7 @@ def no_subscriber(topic: str, domain: str | None, present: Collection[object] = 
 
 
 class PublishedAs(NamedTuple):
-    """Who publishes a topic on its receiving side.
+    """The publishers of a topic on its receiving side.
 
     Attributes:
         nodes: some of their names.

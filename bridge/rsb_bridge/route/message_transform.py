@@ -39,10 +39,10 @@ class MessageTransform:
     corrects_stamps = False
 
     def change(self, content: bytes) -> bytes:
-        """Return what is to be published for a message with its encapsulation header.
+        """Return the content to publish for a message; both begin with the encapsulation header.
 
         Raises:
-            TransformError: it is not to be published.
+            TransformError: the message must not be published.
         """
         raise NotImplementedError
 
@@ -55,7 +55,7 @@ FindTransforms: TypeAlias = "Callable[[], Awaitable[Transforms]]"
 
 
 class FailedTransform(MessageTransform):
-    """Takes the place of one that has failed: what it was to change is not published."""
+    """Stands for a feature's transform that has failed: no message is published."""
 
     def __init__(self, feature: str) -> None:
         self.feature = feature

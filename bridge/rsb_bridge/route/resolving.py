@@ -42,7 +42,7 @@ class Resolved(NamedTuple):
 
 
 class Elsewhere(NamedTuple):
-    """Where a topic without a publisher is published instead.
+    """A place where a topic without a publisher is published instead.
 
     Attributes:
         cause: `Cause.SIMILAR_NAME` or `Cause.PUBLISHED_THERE`.
@@ -140,7 +140,7 @@ class Resolver:
 
     @property
     def elsewhere(self) -> Elsewhere | None:
-        """Where the topic may be published instead, or None.
+        """The place where the topic may be published instead, or None.
 
         If it had publishers, it is a topic that a node of theirs publishes now.
         """

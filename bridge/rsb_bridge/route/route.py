@@ -57,7 +57,7 @@ _LASTS = frozenset(
 )  # fmt: skip
 """States that last until something happens, or until silence has lasted too long."""
 _STOPS = frozenset({State.STALE, State.STOPPED, State.DOWN})
-"""Those of them in which messages that are due do not come."""
+"""States in which messages that are due do not come."""
 _STAYS = frozenset({Cause.NONE, Cause.NO_SUBSCRIBER})
 """Causes that `Route._signs` tell of, while the half is well."""
 
@@ -91,7 +91,7 @@ class Owner(Peer, Protocol):
 
 
 class Waiters:
-    """Those that wait until something has changed."""
+    """Coroutines that wait until something has changed."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self._loop = loop

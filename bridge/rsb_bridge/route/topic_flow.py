@@ -126,7 +126,7 @@ class LeftOut:
 
     @property
     def is_due(self) -> bool:
-        """Whether there are some that nobody was told of."""
+        """Whether some are not in the log yet."""
         return self._count > self._told
 
     def judge(self, ledger: Ledger, now: float) -> None:
@@ -151,7 +151,7 @@ class LeftOut:
 
 
 class AgreedEnd:
-    """What the receiving side publishes once an arming ends, as both sides' sessions want it."""
+    """The message that the receiving side publishes once an arming ends, as both sides' sessions want it."""
 
     def __init__(self, route: Route) -> None:
         self.route = route

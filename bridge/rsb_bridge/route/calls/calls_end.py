@@ -55,13 +55,13 @@ class CallsEnd(Protocol):
 
     @property
     def nodes_there(self) -> tuple[str, ...]:
-        """Those of them on the other side."""
+        """The nodes on the other side that call or answer."""
 
     def at_node(self) -> tuple[int, int]:
         """Return the newest call that was given to DDS, with all before it, and how many calls wait for their node."""
 
     def stages(self) -> tuple[Stage, Stage, Stage]:
-        """Return whether a server is seen, its type is known, and callers can call it, as far as this half knows."""
+        """Return this half's view of three stages: a server is seen, its type is known, callers can call it."""
 
     def close(self) -> None:
         """End the opening."""

@@ -22,7 +22,7 @@ C = TypeVar("C", bound=PendingCall)
 
 
 class CallsFlow:
-    """What all parts of one half know of its calls.
+    """The facts that all parts of one half of a route of calls share.
 
     Attributes:
         members: the services and topics that the route consists of.
@@ -85,7 +85,7 @@ class CallsKind(Generic[C]):
 
     @property
     def on_end(self) -> str:
-        """What happens to goals once an arming ends, or an empty string for calls that are no goals."""
+        """The effect of an arming's end on goals, or an empty string for calls that are no goals."""
         if self.goals is None:
             return ""
         arming = self._route.arming

@@ -1,4 +1,4 @@
-"""What `Caller` and `Provider` do alike.
+"""The common part of `Caller` and `Provider`.
 
 A route of calls consists of members (`rsb_bridge.model.calls`): services, and topics that go from the providing side to
 the callers'. The frames of all members (`rsb_bridge.wire.headers`) go over one channel, which sends both ways. A frame

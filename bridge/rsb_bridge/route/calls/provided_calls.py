@@ -89,7 +89,7 @@ class PeersCall(PendingCall):
 
 
 class ProviderKind(CallsKind[PeersCall]):
-    """What calls do here by their kind besides passing on, as `asked_calls.CallerKind` in the other half.
+    """The part of a kind of calls besides passing them on, as `asked_calls.CallerKind` in the other half.
 
     Attributes:
         keeps_clients: whether its clients have to stay open although nobody on the other side can call.
@@ -110,11 +110,11 @@ class ProviderKind(CallsKind[PeersCall]):
         return False
 
     def explained(self, found: Provision) -> Provision:
-        """Return what was found here, with a better reason if nothing can be called."""
+        """Return the servers found here, with a better reason if none can be called."""
         return found
 
     def told(self) -> None:
-        """Send what the other side needs once it has been told of the servers."""
+        """Send all that the other side needs after the list of servers."""
 
     def called(self, frame: CallFrame, call: PeersCall) -> None:
         """Note a call that was given to DDS."""

@@ -33,7 +33,7 @@ _EXPLAINED_AGAIN = 0.5
 
 
 class ServersHere:
-    """What can be called here.
+    """The servers here that can be called.
 
     Attributes:
         found: what the last look has found.

@@ -117,7 +117,7 @@ def _why_unacceptable(provide: Provide, members: Sequence[ServiceMember], agreed
 
 
 class ServiceOffer:
-    """What is offered here of what the other side provides.
+    """The servers and publishers here that stand for the other side's.
 
     Attributes:
         calls: the calls of its callers.
