@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from rsb_bridge.link.extension import Extension, LinkError, check_names
     from rsb_bridge.link.internal_routes import InternalRoutes
     from rsb_bridge.link.link import Link, link_named
+    from rsb_bridge.link.orders import Asker, OrderExtension, OrderProblem
     from rsb_bridge.link.questions import AskingExtension, Questions
     from rsb_bridge.model.budgets import TokenBucket
     from rsb_bridge.model.clock import Clock
@@ -58,6 +59,7 @@ if TYPE_CHECKING:
     from rsb_bridge.telemetry.event_log import EventLog
     from rsb_bridge.transport.transport import Transport
     from rsb_bridge.wire.messages import ControlMessageBase
+    from rsb_bridge.wire.order_messages import TICKET_WITHIN, Order, OrderAnswer, OrderEnd, OrderOutcome, OrderQuestion
     from rsb_bridge.wire.records import PRINTABLE, Count, Name, Reason, RouteId, Seconds
 
 _NAMES = {
@@ -87,6 +89,7 @@ _NAMES = {
     "rsb_bridge.link.extension": ("Extension", "LinkError", "check_names"),
     "rsb_bridge.link.internal_routes": ("InternalRoutes",),
     "rsb_bridge.link.link": ("Link", "link_named"),
+    "rsb_bridge.link.orders": ("Asker", "OrderExtension", "OrderProblem"),
     "rsb_bridge.link.questions": ("AskingExtension", "Questions"),
     "rsb_bridge.model.budgets": ("TokenBucket",),
     "rsb_bridge.model.clock": ("Clock",),
@@ -115,6 +118,14 @@ _NAMES = {
     "rsb_bridge.telemetry.event_log": ("EventLog",),
     "rsb_bridge.transport.transport": ("Transport",),
     "rsb_bridge.wire.messages": ("ControlMessageBase",),
+    "rsb_bridge.wire.order_messages": (
+        "TICKET_WITHIN",
+        "Order",
+        "OrderAnswer",
+        "OrderEnd",
+        "OrderOutcome",
+        "OrderQuestion",
+    ),
     "rsb_bridge.wire.records": ("PRINTABLE", "Count", "Name", "Reason", "RouteId", "Seconds"),
 }
 __getattr__ = late_names(__name__, _NAMES)

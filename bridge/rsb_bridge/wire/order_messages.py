@@ -1,0 +1,76 @@
+"""Messages of orders, which `rsb_bridge.link.orders` explains: a feature has its own of each kind."""
+
+from __future__ import annotations
+
+from typing import Generic, TypeVar
+
+import msgspec
+
+from rsb_bridge.wire.messages import ControlMessageBase
+from rsb_bridge.wire.records import Count, Name, Reason, Seconds
+
+TICKET_WITHIN = 10.0
+"""s in which the other side lists what there is, whose states it finds for 2 s at most, or gives a ticket."""
+
+
+class OrderQuestion(ControlMessageBase, frozen=True, omit_defaults=True):
+    """Asks what the other side has, or for a ticket. Answered by an `OrderAnswer` of the same number.
+
+    Attributes:
+        ticket: whether a ticket is asked for.
+    """
+
+    request: Count
+    ticket: bool = False
+
+
+class OrderAnswer(ControlMessageBase, frozen=True, omit_defaults=True):
+    """What a side has, or a ticket.
+
+    Attributes:
+        ticket: for one `Order`, or 0.
+    """
+
+    request: Count
+    ticket: Count = 0
+
+
+class Order(ControlMessageBase, frozen=True, omit_defaults=True, kw_only=True):
+    """Answered by an `OrderEnd` of the same ticket, once it has ended or if it is refused.
+
+    Attributes:
+        who: the operator, as the asking side says.
+        again: whether it was given in another association already.
+    """
+
+    ticket: Count = 0
+    who: Name = ""
+    again: bool = False
+
+
+class OrderOutcome(msgspec.Struct, frozen=True, omit_defaults=True):
+    """How an order has ended.
+
+    Attributes:
+        refused: whether nothing was done.
+        reason: why it is not done, for an operator, or empty.
+        seconds: that it took.
+    """
+
+    refused: bool = False
+    reason: Reason = ""
+    seconds: Seconds = 0.0
+
+    @property
+    def done(self) -> bool:
+        return not self.reason
+
+
+OutcomeT = TypeVar("OutcomeT", bound=OrderOutcome)
+
+
+class OrderEnd(ControlMessageBase, Generic[OutcomeT], frozen=True):
+    """The end of an order, or why it was refused."""
+
+    ticket: Count
+    outcome: OutcomeT
