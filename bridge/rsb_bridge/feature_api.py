@@ -59,7 +59,14 @@ if TYPE_CHECKING:
     from rsb_bridge.telemetry.event_log import EventLog
     from rsb_bridge.transport.transport import Transport
     from rsb_bridge.wire.messages import ControlMessageBase
-    from rsb_bridge.wire.order_messages import TICKET_WITHIN, Order, OrderAnswer, OrderEnd, OrderOutcome, OrderQuestion
+    from rsb_bridge.wire.order_messages import (
+        TICKET_WITHIN,
+        OrderAnswer,
+        OrderBase,
+        OrderEnd,
+        OrderOutcome,
+        OrderQuestion,
+    )
     from rsb_bridge.wire.records import PRINTABLE, Count, Name, Reason, RouteId, Seconds
 
 _NAMES = {
@@ -120,7 +127,7 @@ _NAMES = {
     "rsb_bridge.wire.messages": ("ControlMessageBase",),
     "rsb_bridge.wire.order_messages": (
         "TICKET_WITHIN",
-        "Order",
+        "OrderBase",
         "OrderAnswer",
         "OrderEnd",
         "OrderOutcome",

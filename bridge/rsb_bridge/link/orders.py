@@ -22,8 +22,8 @@ from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.wire.order_messages import (
     TICKET_WITHIN,
-    Order,
     OrderAnswer,
+    OrderBase,
     OrderEnd,
     OrderOutcome,
     OrderQuestion,
@@ -48,7 +48,7 @@ _REMEMBERED = 8
 
 
 AnswerT = TypeVar("AnswerT", bound=OrderAnswer)
-OrderT = TypeVar("OrderT", bound=Order)
+OrderT = TypeVar("OrderT", bound=OrderBase)
 OutcomeT = TypeVar("OutcomeT", bound=OrderOutcome)
 
 

@@ -28,14 +28,14 @@ class OrderAnswer(ControlMessageBase, frozen=True, omit_defaults=True):
     """What a side has, or a ticket.
 
     Attributes:
-        ticket: for one `Order`, or 0.
+        ticket: for one `OrderBase`, or 0.
     """
 
     request: Count
     ticket: Count = 0
 
 
-class Order(ControlMessageBase, frozen=True, omit_defaults=True, kw_only=True):
+class OrderBase(ControlMessageBase, frozen=True, omit_defaults=True, kw_only=True):
     """Answered by an `OrderEnd` of the same ticket, once it has ended or if it is refused.
 
     Attributes:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from rsb_bridge.feature_api import Asker, Order, OrderAnswer, OrderEnd, OrderExtension, OrderQuestion, Questions
+from rsb_bridge.feature_api import Asker, OrderAnswer, OrderBase, OrderEnd, OrderExtension, OrderQuestion, Questions
 from rsb_extras.node_control.change_records import NO_COMPONENT, ChangeAction, ChangeOutcome, Component, Managed, Target
 from rsb_extras.node_control.change_requests import LONGEST
 from rsb_extras.node_control.node_changer import NodeChanger
@@ -32,7 +32,7 @@ class ManagedAnswer(OrderAnswer, frozen=True):
     managed: Managed = Managed()
 
 
-class RunChange(Order, frozen=True):
+class RunChange(OrderBase, frozen=True):
     """Asks for a change.
 
     Attributes:

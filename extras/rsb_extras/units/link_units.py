@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rsb_bridge.feature_api import Order, OrderAnswer, OrderEnd, OrderExtension, OrderQuestion
+from rsb_bridge.feature_api import OrderAnswer, OrderBase, OrderEnd, OrderExtension, OrderQuestion
 from rsb_extras.units.unit_records import UnitAction, UnitName, UnitOutcome, UnitRecords
 from rsb_extras.units.unit_requests import LONGEST
 from rsb_extras.units.unit_runner import UnitRunner
@@ -25,7 +25,7 @@ class UnitAnswer(OrderAnswer, frozen=True):
     units: UnitRecords = ()
 
 
-class RunUnit(Order, frozen=True):
+class RunUnit(OrderBase, frozen=True):
     """Asks for an action on a unit."""
 
     unit: UnitName
