@@ -64,10 +64,9 @@ if TYPE_CHECKING:
         OrderAnswer,
         OrderBase,
         OrderEnd,
-        OrderOutcome,
         OrderQuestion,
     )
-    from rsb_bridge.wire.records import PRINTABLE, Count, Name, Reason, RouteId, Seconds
+    from rsb_bridge.wire.records import PRINTABLE, Count, Name, OrderOutcome, Reason, RouteId, Seconds
 
 _NAMES = {
     "rsb_bridge.api": ("EngineApi", "EngineError", "Unable"),
@@ -130,9 +129,8 @@ _NAMES = {
         "OrderBase",
         "OrderAnswer",
         "OrderEnd",
-        "OrderOutcome",
         "OrderQuestion",
     ),
-    "rsb_bridge.wire.records": ("PRINTABLE", "Count", "Name", "Reason", "RouteId", "Seconds"),
+    "rsb_bridge.wire.records": ("PRINTABLE", "Count", "Name", "OrderOutcome", "Reason", "RouteId", "Seconds"),
 }
 __getattr__ = late_names(__name__, _NAMES)

@@ -25,9 +25,9 @@ from rsb_bridge.wire.order_messages import (
     OrderAnswer,
     OrderBase,
     OrderEnd,
-    OrderOutcome,
     OrderQuestion,
 )
+from rsb_bridge.wire.records import OrderOutcome
 
 if TYPE_CHECKING:
     from collections.abc import Coroutine

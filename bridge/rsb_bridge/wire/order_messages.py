@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from typing import Generic, TypeVar
 
-import msgspec
-
 from rsb_bridge.wire.messages import ControlMessageBase
-from rsb_bridge.wire.records import Count, Name, Reason, Seconds
+from rsb_bridge.wire.records import Count, Name, OrderOutcome
 
 TICKET_WITHIN = 10.0
 """s in which the other side lists what there is, whose states it finds for 2 s at most, or gives a ticket."""
@@ -46,24 +44,6 @@ class OrderBase(ControlMessageBase, frozen=True, omit_defaults=True, kw_only=Tru
     ticket: Count = 0
     who: Name = ""
     again: bool = False
-
-
-class OrderOutcome(msgspec.Struct, frozen=True, omit_defaults=True):
-    """How an order has ended.
-
-    Attributes:
-        refused: whether nothing was done.
-        reason: why it is not done, for an operator, or empty.
-        seconds: that it took.
-    """
-
-    refused: bool = False
-    reason: Reason = ""
-    seconds: Seconds = 0.0
-
-    @property
-    def done(self) -> bool:
-        return not self.reason
 
 
 OutcomeT = TypeVar("OutcomeT", bound=OrderOutcome)

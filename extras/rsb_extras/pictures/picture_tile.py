@@ -181,7 +181,8 @@ class PictureTile(Tile):
     def _redraw(self) -> None:
         """Draw the picture in sight once more, as the operator or the terminal has changed something."""
         if self._look.is_image(self.content):
-            self._show_again()
+            # Not exclusive: a held key would end each drawing before it is in sight.
+            self.run_worker(self._show_content(), group="image")
         else:
             self._draw()
 
@@ -256,10 +257,6 @@ class PictureTile(Tile):
                 except Exception as error:  # noqa: BLE001 -- a stranger's picture must not end the console
                     self._unreadable, self._blocks = ViewText.NOT_DRAWN(error=error), []
             self._draw()
-
-    @work(group="image")  # not exclusive: a held key would end each drawing before it is in sight
-    async def _show_again(self) -> None:
-        await self._show_content()
 
     @work(group="image")
     async def cover_changed(self) -> None:
