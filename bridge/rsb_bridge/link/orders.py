@@ -1,8 +1,8 @@
-"""Orders over a link: what an operator has the other side carry out, once, over any number of connections.
+"""Orders over a link: an operator has the other side carry out something, once, over any number of connections.
 
-An order needs a ticket, which is asked for just before, counts for some seconds, and stands for one order: given again
-by the same ticket, in the next association, it is answered with how that one has ended. So nothing is carried out
-twice, nor because of a request that has waited for a lost link.
+An order needs a ticket. The giver asks for it just before, and it counts for some seconds and for one order: given
+again by the same ticket, in the next association, the order begins nothing, and the answer is the end of the first one.
+So nothing is carried out twice, and nothing after it has waited for a lost link.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ class Asker(NamedTuple):
     link: Link | None = None
 
     def log(self, context: Context, level: Level, code: StrEnum, text: str) -> None:
-        """Log what becomes of an order."""
+        """Log the beginning, the end or the refusal of an order."""
         link = "" if self.link is None else self.link.name
         context.log(level, code, f"{text}, by {self.who}", link=link, who=self.who, from_peer=self.link is not None)
 
@@ -118,7 +118,7 @@ class OrderExtension(Extension, Generic[AnswerT, OrderT, OutcomeT]):
         self._request = 0
         self._peer_has = False
         self._last_ticket = link.context.wall_ns() >> 16
-        """No bridge that ran before under this name has given those that follow."""
+        """A bridge that ran before under this name has given lower ones only."""
         self._given: dict[int, _Ticket] = {}
         self._allowance = TokenBucket(ASKED, ASKED / ASKED_WITHIN, link.context.now())
         self._runs: dict[int, asyncio.Task[OutcomeT]] = {}

@@ -8,7 +8,7 @@ from rsb_bridge.wire.messages import ControlMessageBase
 from rsb_bridge.wire.records import Count, Name, OrderOutcome
 
 TICKET_WITHIN = 10.0
-"""s in which the other side lists what there is, whose states it finds for 2 s at most, or gives a ticket."""
+"""s for a ticket or a list from the other side, which looks for the states in it for 2 s at most."""
 
 
 class OrderQuestion(ControlMessageBase, frozen=True, omit_defaults=True):
@@ -23,7 +23,7 @@ class OrderQuestion(ControlMessageBase, frozen=True, omit_defaults=True):
 
 
 class OrderAnswer(ControlMessageBase, frozen=True, omit_defaults=True):
-    """What a side has, or a ticket.
+    """Tells of all that a side has, or gives a ticket.
 
     Attributes:
         ticket: for one `OrderBase`, or 0.

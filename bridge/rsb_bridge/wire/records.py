@@ -239,7 +239,7 @@ def check_qos(qos: Qos | None, *, depth_known: bool = False) -> None:
 
 
 class OrderOutcome(msgspec.Struct, frozen=True, omit_defaults=True):
-    """How an order has ended.
+    """The end of an order.
 
     Attributes:
         refused: whether nothing was done.
