@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from rsb_bridge.link.extension import Extension, LinkError, check_names
     from rsb_bridge.link.internal_routes import InternalRoutes
     from rsb_bridge.link.link import Link, link_named
+    from rsb_bridge.link.orders import Asker, OrderExtension, OrderProblem
     from rsb_bridge.link.questions import AskingExtension, Questions
     from rsb_bridge.model.budgets import TokenBucket
     from rsb_bridge.model.clock import Clock
@@ -58,7 +59,14 @@ if TYPE_CHECKING:
     from rsb_bridge.telemetry.event_log import EventLog
     from rsb_bridge.transport.transport import Transport
     from rsb_bridge.wire.messages import ControlMessageBase
-    from rsb_bridge.wire.records import PRINTABLE, Count, Name, Reason, RouteId, Seconds
+    from rsb_bridge.wire.order_messages import (
+        TICKET_WITHIN,
+        OrderAnswer,
+        OrderBase,
+        OrderEnd,
+        OrderQuestion,
+    )
+    from rsb_bridge.wire.records import PRINTABLE, Count, Name, OrderOutcome, Reason, RouteId, Seconds
 
 _NAMES = {
     "rsb_bridge.api": ("EngineApi", "EngineError", "Unable"),
@@ -87,6 +95,7 @@ _NAMES = {
     "rsb_bridge.link.extension": ("Extension", "LinkError", "check_names"),
     "rsb_bridge.link.internal_routes": ("InternalRoutes",),
     "rsb_bridge.link.link": ("Link", "link_named"),
+    "rsb_bridge.link.orders": ("Asker", "OrderExtension", "OrderProblem"),
     "rsb_bridge.link.questions": ("AskingExtension", "Questions"),
     "rsb_bridge.model.budgets": ("TokenBucket",),
     "rsb_bridge.model.clock": ("Clock",),
@@ -115,6 +124,13 @@ _NAMES = {
     "rsb_bridge.telemetry.event_log": ("EventLog",),
     "rsb_bridge.transport.transport": ("Transport",),
     "rsb_bridge.wire.messages": ("ControlMessageBase",),
-    "rsb_bridge.wire.records": ("PRINTABLE", "Count", "Name", "Reason", "RouteId", "Seconds"),
+    "rsb_bridge.wire.order_messages": (
+        "TICKET_WITHIN",
+        "OrderBase",
+        "OrderAnswer",
+        "OrderEnd",
+        "OrderQuestion",
+    ),
+    "rsb_bridge.wire.records": ("PRINTABLE", "Count", "Name", "OrderOutcome", "Reason", "RouteId", "Seconds"),
 }
 __getattr__ = late_names(__name__, _NAMES)

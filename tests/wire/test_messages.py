@@ -14,7 +14,9 @@ from rsb_bridge.model.by_hand import VelocityLimits
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.wire import messages
 from rsb_bridge.wire.codec import decode, decode_hello, decode_urgent, decode_welcome, encode
+from rsb_bridge.wire.order_messages import OrderBase
 from rsb_bridge.wire.protocol_error import Broken, ProtocolError
+from rsb_bridge.wire.records import OrderOutcome
 
 PROPOSE = messages.Propose(route=1, topic="/scan", remote_topic="/robot1/scan", from_client=True)
 
@@ -172,3 +174,12 @@ def test_a_link_id_has_eight_bytes() -> None:
             decode_welcome(
                 msgspec.msgpack.encode(msgspec.to_builtins(WELCOME, builtin_types=(bytes,)) | {"link_id": link_id})
             )
+
+
+def test_order_is_done_unless_there_is_a_reason() -> None:
+    class Run(OrderBase, frozen=True):
+        unit: str
+
+    assert msgspec.msgpack.decode(encode(Run("nav", ticket=3)), type=Run) == Run("nav", ticket=3)
+    assert OrderOutcome().done
+    assert not OrderOutcome(reason="it does not start").done

@@ -238,6 +238,24 @@ def check_qos(qos: Qos | None, *, depth_known: bool = False) -> None:
         raise ValueError(f"qos: {problem}")
 
 
+class OrderOutcome(msgspec.Struct, frozen=True, omit_defaults=True):
+    """The end of an order.
+
+    Attributes:
+        refused: whether nothing was done.
+        reason: why it is not done, for an operator, or empty.
+        seconds: that it took.
+    """
+
+    refused: bool = False
+    reason: Reason = ""
+    seconds: Seconds = 0.0
+
+    @property
+    def done(self) -> bool:
+        return not self.reason
+
+
 class OutOfRange(Wording):
     RATE = "a rate is 0 or {range} Hz"
     PART = "{name} is {range} {unit}"

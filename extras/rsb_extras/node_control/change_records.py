@@ -8,7 +8,7 @@ from typing import Annotated, Literal, TypeAlias, get_args
 import msgspec
 from msgspec import Meta
 
-from rsb_bridge.feature_api import PRINTABLE, Name, Reason, Seconds, Wording
+from rsb_bridge.feature_api import PRINTABLE, Name, OrderOutcome, Reason, Seconds, Wording
 
 MOST_GROUPS, MOST_OF_GROUP = 16, 32
 """Of a session, and nodes of one. Round figures: Nav2 manages 12."""
@@ -110,25 +110,19 @@ class ChangeStep(msgspec.Struct, frozen=True, omit_defaults=True):
     seconds: Seconds = 0.0
 
 
-class ChangeOutcome(msgspec.Struct, frozen=True, omit_defaults=True):
+class ChangeOutcome(OrderOutcome, frozen=True):
     """How a change goes, or has ended.
 
     Attributes:
         is_over: whether it has ended.
-        refused: whether nothing was asked of any node.
-        reason: why it is not done, for an operator, or empty.
-        seconds: since it began, or that it took.
     """
 
     is_over: bool = True
-    refused: bool = False
-    reason: Reason = ""
-    seconds: Seconds = 0.0
     steps: Annotated[tuple[ChangeStep, ...], Meta(max_length=MOST_STEPS)] = ()
 
     @property
     def done(self) -> bool:
-        return self.is_over and not self.reason
+        return self.is_over and super().done
 
 
 class NodeChange(msgspec.Struct, frozen=True, omit_defaults=True):

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import msgspec
 
-from rsb_bridge.feature_api import Command, Effect, Name, Reason, Right
+from rsb_bridge.feature_api import TICKET_WITHIN, Command, Effect, Name, Reason, Right
 from rsb_extras.node_control.change_records import NO_COMPONENT, ChangeAction, ChangeOutcome, Component, Managed
 from rsb_extras.node_control.parameter_records import NewValues
 
-TICKET_WITHIN = 10.0
-"""s in which the other side lists its nodes, whose states it finds for 2 s at most, or gives a ticket."""
 LONGEST = 600.0
 """s that an operator waits at most; the change itself goes on. A round figure: Nav2 comes up within a minute."""
 ANSWERED_WITHIN = TICKET_WITHIN + LONGEST + 5.0

@@ -6,13 +6,22 @@ import asyncio
 from functools import partial
 from typing import TYPE_CHECKING
 
-from rsb_bridge.feature_api import EnginePart, Level, LinkError, link_named, one_line, operator, sanitize_text
+from rsb_bridge.feature_api import (
+    Asker,
+    EnginePart,
+    Level,
+    LinkError,
+    OrderProblem,
+    link_named,
+    one_line,
+    operator,
+    sanitize_text,
+)
 from rsb_extras.node_control import GROUPS
 from rsb_extras.node_control.change_records import GROUP_NAME, NODE_NAME, ChangeText, Managed
 from rsb_extras.node_control.change_requests import ChangeNodes, ListManaged, ManagedSide
-from rsb_extras.node_control.link_changes import LinkChanges, LinkChangesProblem
+from rsb_extras.node_control.link_changes import LinkChanges, RunChange
 from rsb_extras.node_control.node_changer import (
-    ChangeAsker,
     ChangeCode,
     NodeChanger,
     in_words,
@@ -53,13 +62,13 @@ class ChangesPart(EnginePart):
         return tuple(side for side in sides if side.managed != Managed() or side.problem)
 
     async def _own(self) -> ManagedSide:
-        return ManagedSide(managed=await self._changer.managed(ChangeAsker(operator())))
+        return ManagedSide(managed=await self._changer.managed(Asker(operator())))
 
     async def _of_link(self, link: Link) -> ManagedSide:
         if not link.linked:
-            return ManagedSide(link.name, problem=sanitize_text(LinkChangesProblem.AWAY(reason=link.down_reason)))
+            return ManagedSide(link.name, problem=sanitize_text(OrderProblem.AWAY(reason=link.down_reason)))
         try:
-            return ManagedSide(link.name, await link.extensions.find(LinkChanges).managed())
+            return ManagedSide(link.name, (await link.extensions.find(LinkChanges).list_of_peer()).managed)
         except LinkError as error:
             return ManagedSide(link.name, problem=sanitize_text(str(error)))
 
@@ -67,7 +76,7 @@ class ChangesPart(EnginePart):
         if command.link:
             return (await self._parameter_side(link_named(command.link, self._bridge.links())),)
         linked = [link for link in self._bridge.links() if link.linked]
-        own = await self._changer.parameters(AskParameters(0), ChangeAsker(operator()))
+        own = await self._changer.parameters(AskParameters(0), Asker(operator()))
         sides = (ParameterSide(nodes=own.nodes), *await asyncio.gather(*map(self._parameter_side, linked)))
         return tuple(side for side in sides if side.nodes or side.problem)
 
@@ -83,18 +92,19 @@ class ChangesPart(EnginePart):
         if command.link:
             page = link_named(command.link, self._bridge.links()).extensions.find(LinkChanges).parameters
         else:
-            page = partial(self._changer.parameters, asker=ChangeAsker(operator()))
+            page = partial(self._changer.parameters, asker=Asker(operator()))
         return await read_pages(page, command.node, command.names, whole=command.whole)
 
     async def _change(self, command: ChangeNodes) -> ChangeOutcome:
         target, action = command.target, command.action
         _check_target(target)
         if not command.link:
-            asker = ChangeAsker(operator())
+            asker = Asker(operator())
             return await self._changer.run(target, action, asker, command.values, command.component)
         link = link_named(command.link, self._bridge.links())
         if problem := malformed(target, action, command.values, command.component):
             raise LinkError(problem)
+        order = RunChange(target, action, command.values, command.component)
         what, log = f"{target} of {link.name}", self._bridge.log
         log.add(
             ChangeCode.BEGAN,
@@ -102,7 +112,7 @@ class ChangesPart(EnginePart):
             link=link.name,
         )
         try:
-            outcome = await link.extensions.find(LinkChanges).run(target, action, command.values, command.component)
+            outcome = await link.extensions.find(LinkChanges).give(order)
         except LinkError as error:
             log.add(ChangeCode.FAILED, f"{what}: {action}: {error}, asked for", level=Level.WARNING, link=link.name)
             raise

@@ -6,7 +6,7 @@ import asyncio
 from collections import deque
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 from weakref import WeakSet
 
 import msgspec
@@ -43,7 +43,7 @@ from rsb_extras.nodes import SHOW_NODES
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Iterable, Sequence
 
-    from rsb_bridge.feature_api import Context, Link
+    from rsb_bridge.feature_api import Asker, Context, Link
     from rsb_extras.node_control.change_records import ChangeAction, Component
     from rsb_extras.node_control.parameter_records import AskParameters, NewValue
 
@@ -83,18 +83,6 @@ class ChangeProblem(Wording):
     ENDED = "an operator of its side ended it, for another change: look at the nodes' states"
 
 
-class ChangeAsker(NamedTuple):
-    """The one who asks for a change.
-
-    Attributes:
-        who: an operator, in words; one of the other side is that side's claim.
-        link: from which it comes, or None if it is an operator of this side.
-    """
-
-    who: str
-    link: Link | None = None
-
-
 @dataclass(slots=True, eq=False)
 class _Doing:
     """A change that is under way.
@@ -107,7 +95,7 @@ class _Doing:
     target: str
     action: ChangeAction
     nodes: tuple[str, ...]
-    asker: ChangeAsker
+    asker: Asker
     began: float
     work: asyncio.Task[str]
     steps: list[ChangeStep] = field(default_factory=list)
@@ -141,7 +129,7 @@ class NodeChanger:
 
     # --- what there is
 
-    async def managed(self, asker: ChangeAsker) -> Managed:
+    async def managed(self, asker: Asker) -> Managed:
         """Return managed nodes with their states, groups, containers and the last changes, as far as one may see."""
         shows = asker.link is None or SHOW_NODES.of(asker.link.end.rights)
         if asker.link is not None and not (shows or MAY_CHANGE.of(asker.link.end.rights)):
@@ -180,7 +168,7 @@ class NodeChanger:
     def _progress(self, doing: _Doing) -> ChangeOutcome:
         return ChangeOutcome(is_over=False, seconds=self._context.now() - doing.began, steps=tuple(doing.steps))
 
-    async def parameters(self, ask: AskParameters, asker: ChangeAsker) -> ParametersAnswer:
+    async def parameters(self, ask: AskParameters, asker: Asker) -> ParametersAnswer:
         """Return a page of a node's parameters, or the nodes that have some, as far as one may see them."""
         shows = asker.link is None or SHOW_NODES.of(asker.link.end.rights)
         if not ask.node:
@@ -198,7 +186,7 @@ class NodeChanger:
         self,
         target: str,
         action: ChangeAction,
-        asker: ChangeAsker,
+        asker: Asker,
         values: Sequence[NewValue] = (),
         component: Component = NO_COMPONENT,
     ) -> ChangeOutcome:
@@ -222,7 +210,7 @@ class NodeChanger:
         if refusal:
             return self._refused(target, what, refusal, asker)
         self._starts[asker.link is None].append(self._context.now())
-        self._log(Level.INFO, ChangeCode.BEGAN, f"{target}: {what}", asker)
+        asker.log(self._context, Level.INFO, ChangeCode.BEGAN, f"{target}: {what}")
         steps: list[ChangeStep] = []
         work = self._context.loop.create_task(self._work(nodes, action, steps, values, component))
         doing = _Doing(target, action, nodes, asker, self._context.now(), work, steps)
@@ -230,26 +218,26 @@ class NodeChanger:
         doing.outcome = self._context.loop.create_task(self._carry_out(doing))
         return await asyncio.shield(doing.outcome)
 
-    def _refused(self, target: str, what: str, reason: str, asker: ChangeAsker) -> ChangeOutcome:
-        self._log(Level.WARNING, ChangeCode.REFUSED, f"{target}: {what} refused: {reason}", asker)
+    def _refused(self, target: str, what: str, reason: str, asker: Asker) -> ChangeOutcome:
+        asker.log(self._context, Level.WARNING, ChangeCode.REFUSED, f"{target}: {what} refused: {reason}")
         return ChangeOutcome(refused=True, reason=sanitize_text(reason))
 
     def _nodes(self, target: str) -> tuple[str, ...]:
         return (target,) if "/" in target else self._groups.get(target, ())
 
-    def _may(self, asker: ChangeAsker, node: str) -> bool:
+    def _may(self, asker: Asker, node: str) -> bool:
         if asker.link is None:
             return True
         given = MAY_CHANGE.of(asker.link.end.rights)
         return any(node == each or node in self._groups.get(each, ()) for each in given)
 
-    def _may_set(self, asker: ChangeAsker, node: str) -> bool:
+    def _may_set(self, asker: Asker, node: str) -> bool:
         return self._may(asker, node) or _is_bridged(asker, node)
 
     def _overlapping(self, nodes: Sequence[str]) -> list[_Doing]:
         return [each for each in self._doing if not {*each.nodes}.isdisjoint(nodes)]
 
-    def _refusal(self, target: str, nodes: Sequence[str], action: ChangeAction, asker: ChangeAsker) -> str:
+    def _refusal(self, target: str, nodes: Sequence[str], action: ChangeAction, asker: Asker) -> str:
         now, is_own = self._context.now(), asker.link is None
         is_bridged = action == "set" and _is_bridged(asker, target)
         if not is_bridged and (refusal := self._lacks_right(target, _named(action, nodes), asker)):
@@ -272,7 +260,7 @@ class NodeChanger:
         )
         return ChangeProblem.ARMED(what=what) if what else ""
 
-    def _lacks_right(self, target: str, nodes: Sequence[str], asker: ChangeAsker, act: str = "change") -> str:
+    def _lacks_right(self, target: str, nodes: Sequence[str], asker: Asker, act: str = "change") -> str:
         if asker.link is None:
             return ""
         # A group that is not listed is refused as one that may not be asked for: a peer learns nothing by asking.
@@ -324,13 +312,8 @@ class NodeChanger:
         self._ended.append((doing.nodes, NodeChange(doing.target, doing.action, outcome)))
         self._looked_at = float("-inf")  # what has been found before is old
         level, code = (Level.INFO, ChangeCode.ENDED) if outcome.done else (Level.WARNING, ChangeCode.FAILED)
-        self._log(level, code, f"{doing.target}: {ChangeText.of(doing.action, outcome)}", doing.asker)
+        doing.asker.log(self._context, level, code, f"{doing.target}: {ChangeText.of(doing.action, outcome)}")
         return outcome
-
-    def _log(self, level: Level, code: ChangeCode, text: str, asker: ChangeAsker) -> None:
-        link = "" if asker.link is None else asker.link.name
-        is_own = asker.link is None
-        self._context.log(level, code, f"{text}, by {asker.who}", link=link, who=asker.who, from_peer=not is_own)
 
     async def close(self) -> None:
         """End what is under way: no node is asked any more."""
@@ -349,7 +332,7 @@ def _named(action: ChangeAction, nodes: Sequence[str]) -> Sequence[str]:
     return nodes[:1] if action in COMPONENT_ACTIONS else nodes  # they share a process
 
 
-def _is_bridged(asker: ChangeAsker, node: str) -> bool:
+def _is_bridged(asker: Asker, node: str) -> bool:
     """Whether the other side can set a node's parameters by their services, too."""
     return asker.link is not None and are_parameters_open(asker.link, node)
 

@@ -174,12 +174,13 @@ class ParametersScreen(FilteredScreen[None]):
         self.table.show(shown)
         read_only = sum(each.read_only for each in self._found.values())
         counts = {"count": len(self._found), "read_only": read_only, "changed": len(changed), "time": self._read_at}
-        lines = [self._problem] if self._problem else [ParametersScreenText.COUNTS(**counts)]
+        lines = [(self._problem, "down")]
+        if self._read_at:
+            lines.append((ParametersScreenText.COUNTS(**counts), ""))
         if self._found and not shown:
-            lines.append(ParametersScreenText.NO_MATCH())
-        look = "down" if self._problem else ""
+            lines.append((ParametersScreenText.NO_MATCH(), ""))
         width = max(20, self.summary.size.width or _WIDTH)
-        self.summary.put([((part, look),) for line in lines for part in textwrap.wrap(line, width)])
+        self.summary.put([((part, look),) for line, look in lines for part in textwrap.wrap(line, width)])
         self.on_selectable_list_cursor_moved()
 
     def _matches(self, parameter: NodeParameter) -> bool:

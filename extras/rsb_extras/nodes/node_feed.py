@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from typing import TYPE_CHECKING
 
 from rsb_bridge.feature_api import EngineError, Wording
@@ -28,8 +29,7 @@ class NodeFeed:
 
     Attributes:
         book: the nodes so far.
-        now: the present time (s) of the engine.
-        age: s since their side has told of them.
+        now: the time (s) of the engine at its last answer.
         problem: the reason why that is not renewed, for an operator, or empty.
     """
 
@@ -37,10 +37,10 @@ class NodeFeed:
         self.side = side
         self.book = NodeBook()
         self.now = 0
-        self.age = 0
         self.problem = ""
         self._console = console
         self._at = (0, 0)
+        self._told_at = 0.0
 
     async def renew(self) -> None:
         engine = self._console.engine
@@ -53,7 +53,7 @@ class NodeFeed:
             self.problem = str(error)
             return
         self._at, self.now, self.problem = (changes.book, changes.number), changes.now, changes.why_not
-        self.age = changes.age
+        self._told_at = time.monotonic() - changes.age
         self.book.take(changes, changes.now)
 
     @property
@@ -62,16 +62,19 @@ class NodeFeed:
         return self._at[0] > 0
 
     @property
+    def age(self) -> float:
+        """Seconds since their side has told of them, which the ages of all nodes lack."""
+        return time.monotonic() - self._told_at
+
+    @property
     def side_name(self) -> str:
         return NodeFeedText.THIS_SIDE() if self.side is None else self.side
 
     @property
     def summary(self) -> list[tuple[str, str]]:
         """How many nodes there are, and how well, or why that is not known: lines, each with its look."""
-        if self.problem:
-            return [(self.problem, "down")]
         if not self.is_known:
-            return [(NodeFeedText.ASKING(side=self.side_name), "dim")]
-        counts = node_rows.counts(self.book.nodes.values(), self.now), ""
-        as_of = node_rows.as_of(self.age)
-        return [(as_of, "waiting"), counts] if as_of else [counts]
+            return [(self.problem, "down") if self.problem else (NodeFeedText.ASKING(side=self.side_name), "dim")]
+        counts = node_rows.counts(self.book.nodes.values(), self.now)
+        lines = (self.problem, "down"), (node_rows.as_of(self.age), "waiting"), ("" if self.problem else counts, "")
+        return [line for line in lines if line[0]]

@@ -225,6 +225,10 @@ class Painter:
         """Note that the terminal may have been cleared, or has missed some of what was written."""
         self._is_lost = True
 
+    def lacking(self, bands: Sequence[Band]) -> list[Band]:
+        """Return the bands that are not shown."""
+        return [band for number, band in enumerate(bands) if self._shown.get(number) is not band]
+
     def painted(self, bands: Sequence[Band], at: tuple[int, int], covered: Container[int]) -> str:
         """Return what shows bands, or an empty string if all is there.
 

@@ -64,12 +64,15 @@ class PicturePane(Widget, can_focus=True):
         self._frame = Extent(0, 0, 0.0, 0.0)
         self._painter: Painter | None = None
         self._covered: frozenset[int] = frozenset()
+        """Rows of the image that are in characters."""
+        self._under_boxes: frozenset[int] = frozenset()
+        """Rows on which something stood at the last look."""
         self._losses = 0
         self._owes = False
         """Whether the newest image waits for the terminal."""
         self.image_bytes = 0
-        """Bytes of the newest image to the terminal."""
-        self._is_left_out = False
+        """Bytes of the newest image that the terminal lacked, without what was under boxes."""
+        self.is_left_out = False
         """Whether it was too large for the line, so that the one before stays in sight."""
 
     class Clicked(TextualMessage):
@@ -105,7 +108,7 @@ class PicturePane(Widget, can_focus=True):
         """Show rows of characters; only those that differ are drawn."""
         yield_gil()
         self.take_image_away()
-        self._is_left_out = False
+        self.is_left_out = False
         self._show_rows(rows)
 
     async def show_image(
@@ -128,12 +131,13 @@ class PicturePane(Widget, can_focus=True):
         make = partial(bands_of, image, frame, cell, facts.pixels, first_id, paper, before, few_colours=few_colours)
         bands = await asyncio.to_thread(make)
         covered = self._rows_under_boxes(frame)
-        new = (each for each in bands if not (each.is_under(covered) or any(each is band for band in before)))
-        self.image_bytes = sum(len(each.sequence) for each in new)
-        self._is_left_out = self.image_bytes > _IMAGE_WITHIN * self.terminal.writer.line.rate
-        if self._is_left_out:
+        lacking = (each for each in painter.lacking(bands) if not each.is_under(covered))
+        self.image_bytes = sum(len(each.sequence) for each in lacking)
+        self.is_left_out = self.image_bytes > _IMAGE_WITHIN * self.terminal.writer.line.rate
+        if self.is_left_out:
             return
-        self._bands, self._frame, self._covered, self._owes = bands, frame, covered, True
+        self._bands, self._frame, self._owes = bands, frame, True
+        self._covered = self._under_boxes = covered
         hidden = {row for band in self._bands if band.is_under(self._covered) for row in band.range}
         rows = await asyncio.to_thread(blocks) if hidden else []
         # Characters below pixels would be sent for nothing, and sixels once more, as they go with characters on them.
@@ -161,7 +165,9 @@ class PicturePane(Widget, can_focus=True):
             return
         if not self.terminal.writer.is_free:
             return  # it is called again in a moment
-        before, self._covered = self._covered, self._rows_under_boxes(self._frame)
+        before, self._under_boxes = self._under_boxes, self._rows_under_boxes(self._frame)
+        # Where a box has gone, `show_image` first looks whether the line can take what was under it.
+        self._covered |= self._under_boxes
         if self._losses != self.terminal.losses:
             self._losses = self.terminal.losses
             self._painter.lost()
@@ -172,7 +178,7 @@ class PicturePane(Widget, can_focus=True):
         sequence = self._painter.painted(self._bands, (at.x, at.y), self._covered)
         self.terminal.write_to_terminal(sequence)
         self._owes = False
-        if self._covered != before:
+        if self._under_boxes != before:
             self.cover_changed()
 
     def _drawn_over(self, spans: Sequence[tuple[int, int, int]]) -> None:
@@ -190,7 +196,7 @@ class PicturePane(Widget, can_focus=True):
         for _try in range(_TRIES):
             await asyncio.sleep(_LOOK_EVERY)
             if not self._owes and self.terminal.writer.is_free:
-                return not self._is_left_out
+                return not self.is_left_out
         return False
 
     def take_image_away(self) -> None:
@@ -204,7 +210,7 @@ class PicturePane(Widget, can_focus=True):
             self.terminal.writer.forget(region)
 
     def cover_changed(self) -> object:
-        """Called when other rows of an image are covered, which need characters."""
+        """Called when other rows of an image are covered: it is to be shown again, with characters there."""
 
     def _rows_under_boxes(self, frame: Extent) -> frozenset[int]:
         """Return the rows of an image on which something else stands."""

@@ -181,7 +181,8 @@ class PictureTile(Tile):
     def _redraw(self) -> None:
         """Draw the picture in sight once more, as the operator or the terminal has changed something."""
         if self._look.is_image(self.content):
-            self.cover_changed()
+            # Not exclusive: a held key would end each drawing before it is in sight.
+            self.run_worker(self._show_content(), group="image")
         else:
             self._draw()
 
@@ -257,9 +258,11 @@ class PictureTile(Tile):
                     self._unreadable, self._blocks = ViewText.NOT_DRAWN(error=error), []
             self._draw()
 
-    @work(group="image")  # not exclusive: a held key would end each drawing before it is in sight
+    @work(group="image")
     async def cover_changed(self) -> None:
         await self._show_content()
+        if self.is_left_out and self._look.spare():
+            self._take(self._look.fitted(self._wish))
 
     def _draw(self) -> None:
         if not self.is_attached:

@@ -9,7 +9,7 @@ from typing import Annotated, Literal, TypeAlias
 import msgspec
 from msgspec import Meta
 
-from rsb_bridge.feature_api import PRINTABLE, TEXT_LENGTH, Reason, Seconds, Wording
+from rsb_bridge.feature_api import PRINTABLE, TEXT_LENGTH, OrderOutcome, Seconds, Wording
 
 MOST_UNITS = 32
 """Of a session. A round figure: an operator finds one in a list of so many, and each has a status to be asked for."""
@@ -50,23 +50,15 @@ class UnitRecord(msgspec.Struct, frozen=True, omit_defaults=True):
 UnitRecords: TypeAlias = Annotated[tuple[UnitRecord, ...], Meta(max_length=MOST_UNITS)]
 
 
-class UnitOutcome(msgspec.Struct, frozen=True, omit_defaults=True):
-    """How an action has ended.
+class UnitOutcome(OrderOutcome, frozen=True):
+    """How an action has ended. It is done once the unit is in its new state, or the state is given up.
 
     Attributes:
-        done: whether the unit is in its new state.
-        refused: whether nothing was run.
-        reason: why it is not done, for an operator, or empty.
-        seconds: from its start until the state was reached or given up.
         state: the last one found.
         output: the end of what the command has printed.
         log: the end of the unit's log, if it is not done.
     """
 
-    done: bool = False
-    refused: bool = False
-    reason: Reason = ""
-    seconds: Seconds = 0.0
     state: UnitState = UnitState.UNKNOWN
     output: Lines = ()
     log: Lines = ()

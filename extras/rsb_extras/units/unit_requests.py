@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import msgspec
 
-from rsb_bridge.feature_api import Command, Effect, Name, Reason, Right
+from rsb_bridge.feature_api import TICKET_WITHIN, Command, Effect, Name, Reason, Right
 from rsb_extras.units.unit_records import UnitAction, UnitOutcome, UnitRecords
 
-TICKET_WITHIN = 10.0
-"""s in which the other side lists its units, whose states it finds for 2 s at most, or gives a ticket."""
 LONGEST = 180.0
 """s until the other side has answered for sure: the longest action with its log, and the way over a slow link."""
 ANSWERED_WITHIN = TICKET_WITHIN + LONGEST + 5.0

@@ -21,7 +21,7 @@ from rsb_extras.units.unit_records import ACTIONS, MOST_UNITS, UnitOutcome, Unit
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from rsb_bridge.feature_api import Context, Link
+    from rsb_bridge.feature_api import Asker, Context, Link
     from rsb_extras.units import ListedUnit
     from rsb_extras.units.unit_records import UnitAction
 
@@ -69,21 +69,6 @@ class _Found(NamedTuple):
     unit: ListedUnit
     state: UnitState
     at: float
-
-
-class Asker(NamedTuple):
-    """The one who asks for an action.
-
-    Attributes:
-        who: an operator, in words; one of the other side is that side's claim.
-        link: from which it comes, or None if it is an operator of this side.
-    """
-
-    who: str
-    link: Link | None = None
-
-    def may(self, name: str) -> bool:
-        return self.link is None or name in MAY_ASK.of(self.link.end.rights)
 
 
 @dataclass(slots=True, eq=False)
@@ -140,7 +125,7 @@ class UnitRunner:
         return UnitRecord(
             name,
             tuple(each for each in ACTIONS if getattr(unit, each)),
-            asker.may(name),
+            _may(asker, name),
             found.state if found is not None and known else UnitState.UNKNOWN,
             self._context.now() - found.at if found is not None and known else None,
             self._doing.action if self._doing is not None and self._doing.name == name else None,
@@ -177,17 +162,17 @@ class UnitRunner:
             peers.stop.set()
             await asyncio.wait((peers.outcome,))
         if refusal:
-            self._log(Level.WARNING, UnitCode.REFUSED, f"{what} refused: {refusal}", asker)
+            asker.log(self._context, Level.WARNING, UnitCode.REFUSED, f"{what} refused: {refusal}")
             return UnitOutcome(refused=True, reason=sanitize_text(refusal))
         self._starts[asker.link is None].append(self._context.now())
-        self._log(Level.INFO, UnitCode.BEGAN, what, asker)
+        asker.log(self._context, Level.INFO, UnitCode.BEGAN, what)
         self._doing = doing = _Doing(name, action, asker)
         doing.outcome = self._context.loop.create_task(self._carry_out(doing, self._units[name]))
         return await asyncio.shield(doing.outcome)
 
     def _refusal(self, name: str, action: UnitAction, asker: Asker) -> str:
         unit, now = self._units.get(name), self._context.now()
-        if not asker.may(name):
+        if not _may(asker, name):
             assert asker.link is not None
             return str(asker.link.end.rights.lacks(f"{action} unit {name}", MAY_ASK.entry(f"[{name}]")))
         if unit is None:
@@ -222,7 +207,7 @@ class UnitRunner:
         # Only this side's log has the program's name: the outcome crosses.
         named = f" ({one_line(words[0])})" if ended.problem else ""
         text = f"unit {doing.name}: {doing.action}: {UnitText.of(doing.action, outcome)}{named}"
-        self._log(level, code, text, doing.asker)
+        doing.asker.log(self._context, level, code, text)
         return outcome
 
     async def _outcome(self, doing: _Doing, unit: ListedUnit, ended: CommandEnd, began: float) -> UnitOutcome:
@@ -236,7 +221,7 @@ class UnitRunner:
         seconds = self._context.now() - began
         has_log = reason and unit.log and not doing.stop.is_set()
         log = await self._execute(unit.log, _LOG_WITHIN, doing.stop) if has_log else CommandEnd()
-        return UnitOutcome(not reason, False, sanitize_text(reason), seconds, state, ended.lines, log.lines)
+        return UnitOutcome(False, sanitize_text(reason), seconds, state, ended.lines, log.lines)
 
     async def _reached(self, doing: _Doing, unit: ListedUnit, deadline: float) -> UnitState:
         """Return the state after an action, once it is the right one, a failure, or the time is over."""
@@ -269,11 +254,6 @@ class UnitRunner:
     async def _execute(self, words: Sequence[str], seconds: float, stop: threading.Event) -> CommandEnd:
         return await in_thread("unit", partial(run_words, words, seconds, self._context.clock, stop), inf)
 
-    def _log(self, level: Level, code: UnitCode, text: str, asker: Asker) -> None:
-        is_own = asker.link is None
-        link = "" if asker.link is None else asker.link.name
-        self._context.log(level, code, f"{text}, by {asker.who}", link=link, who=asker.who, from_peer=not is_own)
-
     async def close(self) -> None:
         """End what runs."""
         self._stop.set()
@@ -284,3 +264,7 @@ class UnitRunner:
         tasks = [each for each in (running, self._looking) if each is not None and not each.done()]
         if tasks:
             await asyncio.wait(tasks, timeout=_ENDS_WITHIN)
+
+
+def _may(asker: Asker, name: str) -> bool:
+    return asker.link is None or name in MAY_ASK.of(asker.link.end.rights)

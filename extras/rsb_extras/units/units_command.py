@@ -112,8 +112,8 @@ def _control(engine: RemoteEngine, arguments: Namespace, link: str) -> int:
     outcome = engine.do(ControlUnit(name, action, link)).result(ANSWERED_WITHIN)
     if arguments.json:
         found = asdict(outcome) | {"unit": name, "link": link}
-        ok, error = found.pop("done"), found.pop("reason")
-        print_line(json_line({"ok": ok} | ({} if ok else {"error": error}) | found))
+        error = found.pop("reason")
+        print_line(json_line({"ok": outcome.done} | ({"error": error} if error else {}) | found))
     else:
         _tell(UnitsCommandText.ENDED(name=name, side=side, text=UnitText.of(action, outcome)), outcome)
     return OK if outcome.done else FAILURE

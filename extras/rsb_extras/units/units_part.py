@@ -5,12 +5,22 @@ from __future__ import annotations
 import asyncio
 from typing import TYPE_CHECKING
 
-from rsb_bridge.feature_api import EnginePart, Level, LinkError, link_named, one_line, operator, sanitize_text
+from rsb_bridge.feature_api import (
+    Asker,
+    EnginePart,
+    Level,
+    LinkError,
+    OrderProblem,
+    link_named,
+    one_line,
+    operator,
+    sanitize_text,
+)
 from rsb_extras.units import UNITS
-from rsb_extras.units.link_units import LinkUnits, LinkUnitsProblem
+from rsb_extras.units.link_units import LinkUnits, RunUnit
 from rsb_extras.units.unit_records import NAME, UnitText
 from rsb_extras.units.unit_requests import ControlUnit, ListUnits, UnitGroup
-from rsb_extras.units.unit_runner import Asker, UnitCode, UnitProblem, UnitRunner
+from rsb_extras.units.unit_runner import UnitCode, UnitProblem, UnitRunner
 
 if TYPE_CHECKING:
     from rsb_bridge.feature_api import Bridge, Link
@@ -34,9 +44,9 @@ class UnitsPart(EnginePart):
 
     async def _of_link(self, link: Link) -> UnitGroup:
         if not link.linked:
-            return UnitGroup(link.name, problem=sanitize_text(LinkUnitsProblem.AWAY(reason=link.down_reason)))
+            return UnitGroup(link.name, problem=sanitize_text(OrderProblem.AWAY(reason=link.down_reason)))
         try:
-            return UnitGroup(link.name, await link.extensions.find(LinkUnits).list_units())
+            return UnitGroup(link.name, (await link.extensions.find(LinkUnits).list_of_peer()).units)
         except LinkError as error:
             return UnitGroup(link.name, problem=sanitize_text(str(error)))
 
@@ -49,7 +59,7 @@ class UnitsPart(EnginePart):
         what, log = f"unit {command.unit} of {link.name}: {command.action}", self._bridge.log
         log.add(UnitCode.BEGAN, f"{what} asked for", link=link.name)
         try:
-            outcome = await link.extensions.find(LinkUnits).run(command.unit, command.action)
+            outcome = await link.extensions.find(LinkUnits).give(RunUnit(command.unit, command.action))
         except LinkError as error:
             log.add(UnitCode.FAILED, f"{what}: {error}, asked for", level=Level.WARNING, link=link.name)
             raise

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from tests.support.places import Place
 
-TICKET_LIFE = Place("rsb_extras.node_control.link_changes", "TICKET_LIFE")
+TICKET_LIFE = Place("rsb_bridge.link.orders", "TICKET_LIFE")
 MANAGED_NAMES = Place("rsb_extras.node_control.node_changer", "managed_names")
-STARTS_WITHIN = Place("rsb_extras.node_control.link_changes", "STARTS_WITHIN")
+ASKED_WITHIN = Place("rsb_bridge.link.orders", "ASKED_WITHIN")
 WORK = Place("rsb_extras.node_control.node_changer", "NodeChanger._work")
 ARMED = Place("rsb_extras.node_control.node_changer", "armed_of_nodes")

@@ -14,7 +14,7 @@ from tests.support.long import long
 
 from rsb_bridge.feature import MAY
 from rsb_bridge.model.session import session_keys
-from rsb_extras.node_control.link_changes import LinkChanges
+from rsb_extras.node_control.link_changes import LinkChanges, RunChange
 from rsb_extras.node_control.node_changer import STARTS
 from rsb_extras.node_control.tests.control_places import ARMED, WORK
 
@@ -29,7 +29,9 @@ def test_a_change_is_made_once(seed: int, outlive: float, monkeypatch: pytest.Mo
     (robot,) = world.robots
     features = {MAY: session_keys()[MAY].type(nodes=("/lidar",))}
     robot.host.session = msgspec.structs.replace(robot.host.session, features=features)
-    asking = Asking(world, lambda link: link.extensions.find(LinkChanges).run("/lidar", "configure"), STARTS)
+    asking = Asking(
+        world, lambda link: link.extensions.find(LinkChanges).give(RunChange("/lidar", "configure")), STARTS
+    )
 
     async def work(changer: NodeChanger, *_: object) -> str:
         await asking.run(changer)

@@ -42,7 +42,7 @@ from rsb_extras.node_control.parameter_records import (
     ParametersAnswer,
     ParameterValue,
 )
-from rsb_extras.node_control.tests.control_places import MANAGED_NAMES, STARTS_WITHIN, TICKET_LIFE
+from rsb_extras.node_control.tests.control_places import ASKED_WITHIN, MANAGED_NAMES, TICKET_LIFE
 from rsb_extras.node_control.tests.managed_nodes import ManagedNodes, has
 from rsb_extras.node_control.tests.tuned_node import TunedNode
 
@@ -73,7 +73,7 @@ def ticket(peer: Rogue, request: int = 1) -> int:
 
 def outcome(peer: Rogue, target: str, action: Any = "configure", number: int | None = None) -> ChangeOutcome:
     """Return the answer to a request with a number, or with a new ticket."""
-    peer.say(RunChange(ticket(peer) if number is None else number, target, action, "anna"))
+    peer.say(RunChange(target, action, ticket=ticket(peer) if number is None else number, who="anna"))
     return peer.wait_for(ChangeEnded).outcome
 
 
@@ -113,7 +113,7 @@ def test_requests_out_of_bounds_end_the_link(bridge: Bridge, broken: dict[str, A
     server = start(bridge)
     with rogue(bridge) as peer:
         eventually(lambda: server.snapshot().links[0].state is State.OK, what="a link")
-        said = msgspec.to_builtins(RunChange(ticket(peer), "nav", "configure"))
+        said = msgspec.to_builtins(RunChange("nav", "configure", ticket=ticket(peer)))
         peer.say_raw(msgspec.msgpack.encode(said | broken))
         eventually(lambda: server.snapshot().links[0].state is not State.OK, what="the end of the link")
         assert happened(server, EventCode.LINK_LOST, Broken.INVALID_CONTROL_MESSAGE)
@@ -127,7 +127,7 @@ def test_each_ticket_begins_one_change(bridge: Bridge, nodes: ManagedNodes) -> N
         for number in (0, numbers[0], numbers[-1] + 1, 2**53):
             assert outcome(peer, "nav", number=number).refused, number
         assert nodes.taken == []
-        peer.say(*[RunChange(numbers[-1], "nav", "configure")] * 50)
+        peer.say(*[RunChange("nav", "configure", ticket=numbers[-1])] * 50)
         assert peer.wait_for(ChangeEnded).outcome.done
         assert outcome(peer, "nav", "cleanup", number=numbers[-1]).done, "the end of the one change"
     assert nodes.taken == [("planner", "configure")]
@@ -139,7 +139,7 @@ def test_a_ticket_of_another_connection_begins_nothing(bridge: Bridge, nodes: Ma
         number = ticket(peer)
     with rogue(bridge) as peer:
         for again in (False, True):
-            peer.say(RunChange(number, "nav", "configure", again=again))
+            peer.say(RunChange("nav", "configure", ticket=number, again=again))
             ended = peer.wait_for(ChangeEnded).outcome
             assert not ended.done
             assert ended.refused is not again, "asked again, it may have run before a restart"
@@ -170,7 +170,7 @@ def test_answers_that_nobody_waits_for_do_nothing(bridge: Bridge) -> None:
 
 
 def test_refused_requests_do_not_fill_the_log(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
-    STARTS_WITHIN.set(monkeypatch, 1e6)
+    ASKED_WITHIN.set(monkeypatch, 1e6)
     server = start(bridge)
     with rogue(bridge) as peer:
         assert all(outcome(peer, "none").refused for _ in range(STARTS + 8))
@@ -184,7 +184,7 @@ def test_a_forgotten_change_is_told_once_more(bridge: Bridge) -> None:
         for _ in range(9):
             outcome(peer, "none", number=numbers[-1])
             numbers.append(ticket(peer))
-        peer.say(RunChange(numbers[0], "none", "up"), RunChange(numbers[-1], "none", "up"))
+        peer.say(RunChange("none", "up", ticket=numbers[0]), RunChange("none", "up", ticket=numbers[-1]))
         assert {peer.wait_for(ChangeEnded).ticket for _ in range(2)} == {numbers[0], numbers[-1]}
         assert server.snapshot().links[0].state is State.OK
 
@@ -227,7 +227,7 @@ def test_a_ticket_that_a_peer_gives_twice_stands_for_one_change(bridge: Bridge) 
         assert peer.wait_for(RunChange).ticket == 7
         second = server.do(ChangeNodes("nav", "down", "robot1"))
         peer.say(ManagedAnswer(peer.wait_for(AskManaged).request, 7))
-        with pytest.raises(EngineError, match="robot1 gave the ticket of another change, and nothing was done"):
+        with pytest.raises(EngineError, match="robot1 gave the same ticket twice, and nothing was done"):
             second.result(60)
         peer.say(ChangeEnded(7, ChangeOutcome()))
         assert first.result(60).done
@@ -255,7 +255,7 @@ def test_parameters_of_other_nodes_are_not_set(bridge: Bridge, pc: Domain) -> No
         eventually(lambda: "/controller" in {each.name for each in listed(peer).nodes}, what="the node")
         values = (NewValue("frame", ParameterValue.of("string", "odom")),)
         for target in ("/controller", "nav", "all"):
-            peer.say(RunChange(ticket(peer), target, "set", "anna", values=values))
+            peer.say(RunChange(target, "set", ticket=ticket(peer), who="anna", values=values))
             assert peer.wait_for(ChangeEnded).outcome.refused, target
         assert node["frame"] == "map"
 

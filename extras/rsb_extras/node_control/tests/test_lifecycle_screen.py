@@ -105,7 +105,9 @@ async def test_long_names_and_states_fit(app: ConsoleApp, pilot: Pilot[None], mo
     names = [f"/robot_of_the_west_wing/navigation/{each}_server" for each in ("planner", "controller", "behavior")]
     known = zip(names, ("active", "inactive", "unconfigured"), strict=True)
     nodes = tuple(ManagedNode(name, state, ("activate", "cleanup", "shutdown"), True) for name, state in known)
-    outcome = ChangeOutcome(False, seconds=3.0, steps=tuple(ChangeStep(f"/n{each}", "configure") for each in range(20)))
+    outcome = ChangeOutcome(
+        is_over=False, seconds=3.0, steps=tuple(ChangeStep(f"/n{each}", "configure") for each in range(20))
+    )
     managed = Managed(nodes, (ListedGroup("nav", tuple(names), True),), (NodeChange(names[0], "up", outcome),))
     played = {ListManaged: lambda _: (ManagedSide("robot1", managed),)}
     monkeypatch.setattr("tests.console.scripted.answers", lambda: played)

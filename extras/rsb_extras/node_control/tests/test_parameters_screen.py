@@ -6,13 +6,17 @@ from typing import TYPE_CHECKING, Any
 
 from tests.console.driving import NARROW, WIDE, engine_of, gone, notified, on_main, shown, text, until
 
+from rsb_bridge.api import EngineError
 from rsb_extras.node_control.lifecycle_rows import LifecycleText
+from rsb_extras.node_control.parameter_requests import ReadParameters
 from rsb_extras.node_control.parameters_screen import ParametersScreen, ParametersScreenText
 
 if TYPE_CHECKING:
+    import pytest
     from textual.pilot import Pilot
 
     from rsb_console.app import ConsoleApp
+    from rsb_extras.node_control.parameter_records import NodeParameter
 
 NODE = "/nav/planner_server"
 
@@ -46,6 +50,22 @@ async def test_parameters_are_shown_with_their_marks(app: ConsoleApp, pilot: Pil
     await shown(pilot, "planner.plugins")
     await pilot.press("escape")
     await shown(pilot, "max_speed")
+
+
+@on_main(NARROW)
+async def test_values_of_a_lost_side_keep_their_time(
+    app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    await opened(app, pilot)
+
+    def answer(_: ReadParameters) -> tuple[NodeParameter, ...]:
+        raise EngineError("robot1 is not linked: no route to host")
+
+    monkeypatch.setattr("tests.console.scripted.answers", lambda: {ReadParameters: answer})
+    await pilot.press("r")
+    await shown(pilot, "robot1 is not linked: no route to host")
+    await shown(pilot, "max_speed")
+    assert "read at" in text(app)
 
 
 @on_main(NARROW)

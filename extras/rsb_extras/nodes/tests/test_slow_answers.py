@@ -12,6 +12,7 @@ from tests.link.foreign_proposals_helpers import rogue
 from tests.support.bridge import linked
 from tests.support.waiting import eventually
 
+from rsb_bridge.api import EngineError
 from rsb_extras.nodes.node_data import AskNodes, NodeChanges, Nodes, NodesNews, NodesSeen, NodeState, OneNode
 from rsb_extras.nodes.tests.nodes_places import AGED, ANSWERED_WITHIN, LOOKED_FOR
 from rsb_extras.nodes.tests.scripted_answers import KNOWN, NOW, PROCESS, answer_one
@@ -76,7 +77,7 @@ async def test_old_nodes_are_marked_and_a_page_says_when_it_was_read(
     app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     seen = NodesSeen(7, 20, True, NOW, KNOWN, (PROCESS,), age=4)
-    AGED.set(monkeypatch, 5.0)
+    AGED.set(monkeypatch, 70.0)
     played = {Nodes: lambda _: seen, OneNode: answer_one}
     monkeypatch.setattr("tests.console.scripted.answers", lambda: played)
     await pilot.press("O")
@@ -89,6 +90,27 @@ async def test_old_nodes_are_marked_and_a_page_says_when_it_was_read(
     await pilot.press("enter")
     await shown(pilot, "WARN 60 s ago: motor is hot")
     await shown(pilot, "ago: close this page and open it again")
+
+
+@on_main(NARROW)
+async def test_nodes_of_a_lost_side_are_shown_with_their_age(
+    app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    problem = ""
+
+    def answer(_: Nodes) -> NodesSeen:
+        if problem:
+            raise EngineError(problem)
+        return NodesSeen(7, 20, True, NOW, KNOWN, (PROCESS,))
+
+    AGED.set(monkeypatch, 1.0)
+    monkeypatch.setattr("tests.console.scripted.answers", lambda: {Nodes: answer})
+    await pilot.press("O")
+    await shown(pilot, "10 nodes, 1 ended, 1 not active")
+    problem = "robot1 is not linked: no route to host"
+    await shown(pilot, problem)
+    await shown(pilot, "as of 2 s ago: no answer since")
+    assert "✗ lidar_driver  ended 40 s ago" in text(app), "ages are those of that time"
 
 
 @on_main(NARROW)

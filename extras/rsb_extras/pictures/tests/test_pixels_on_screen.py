@@ -339,7 +339,7 @@ async def test_proportions_hold_while_line_is_slow(
     # A busy machine may draw a picture late: then the next question still asks for as many pixels.
     for bright in range(200, 203 if covered else 256):
         densities.append((wish.across, wish.down))
-        before, wish = wish, await comes(pilot, viewed(camera(wish, bright)))
+        before, wish = wish, await comes(pilot, viewed(camera(wish, halves(640, 480, bright))))
         if covered:  # then nothing is sent
             await until(pilot, lambda: len(edges(app)) > 1, "characters")
             wide, high = edges(app)[0][1], len(edges(app))
@@ -356,10 +356,33 @@ async def test_proportions_hold_while_line_is_slow(
     assert (min(densities) < (7, 15)) is not covered
 
 
-def camera(wish: Wish, bright: int) -> Pixels:
+@on_list
+async def test_uncovered_image_is_measured_first(
+    app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On a slow line, what stood under a box is asked for with fewer pixels instead of sent at once."""
+    written = await in_pixels(pilot, "kitty", (7.0, 15.0), "kitty")
+    line = TerminalLine(rate=25_000.0)
+    replaced.NO_LINE.set(monkeypatch, line)
+    wish = looks(engine_of(app))[-1][1]
+    await app.push_screen(Box(Region(0, 0, *app.size)))
+    wish = await comes(pilot, viewed(camera(wish, noise(640, 480))))
+    await until(pilot, lambda: any(row.strip() for row in drawn(app)), "characters")
+    assert not written.shown()
+    await app.pop_screen()
+    await until(pilot, lambda: looks(engine_of(app))[-1][1].across < wish.across, "a wish for fewer pixels")
+    assert not written.shown()
+    assert any(row.strip() for row in drawn(app)), "characters are left in sight"
+    for seed in range(2, 9):
+        wish = await comes(pilot, viewed(camera(wish, noise(640, 480, seed))))
+        if written.shown():
+            break
+    assert 0 < len(written.text) <= 2.0 * line.rate
+
+
+def camera(wish: Wish, seen: Pixels) -> Pixels:
     """Return a camera's image of 640 × 480 as the other side draws it."""
-    message = Image(encoding="rgb8", width=640, height=480, step=3 * 640)
-    message.data = halves(640, 480, bright).data
+    message = Image(encoding="rgb8", width=640, height=480, step=3 * 640, data=seen.data)
     content = samples.drawn(wish, message).content
     assert isinstance(content, Pixels)
     return content
@@ -369,7 +392,7 @@ def camera(wish: Wish, bright: int) -> Pixels:
 async def test_held_image_keeps_proportions_in_another_size(app: ConsoleApp, pilot: Pilot[None]) -> None:
     """Of the terminal, and of its font."""
     written = await in_pixels(pilot, "kitty", (7.0, 15.0))
-    await comes(pilot, viewed(camera(looks(engine_of(app))[-1][1], 255)))
+    await comes(pilot, viewed(camera(looks(engine_of(app))[-1][1], halves(640, 480, 255))))
     await pilot.press("space")
     for size, cell in (((90, 30), (7.0, 15.0)), ((100, 30), (10.0, 19.0)), ((60, 40), (14.0, 29.0))):
         app.facts = replace(app.facts, cell=cell)

@@ -17,8 +17,8 @@ _MESSAGES = (
     AskUnits(1),
     AskUnits(1, ticket=True),
     UnitAnswer(1, 2, (UnitRecord("nav", ACTIONS, True, UnitState.RUNNING, 1.5, "restart"),)),
-    RunUnit(2, "nav", "restart", "anna on pts/3"),
-    UnitEnded(2, UnitOutcome(done=True, seconds=4.2, state=UnitState.RUNNING)),
+    RunUnit("nav", "restart", ticket=2, who="anna on pts/3"),
+    UnitEnded(2, UnitOutcome(seconds=4.2, state=UnitState.RUNNING)),
     UnitEnded(2, UnitOutcome(reason="restart ended with exit code 7", output=("no device",), log=("x" * 255,))),
 )
 

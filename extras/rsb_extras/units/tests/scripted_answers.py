@@ -25,7 +25,7 @@ def _controlled(command: ControlUnit) -> UnitOutcome:
     if command.unit == "lidar":
         return UnitOutcome(reason="restart ended with exit code 7", seconds=0.3, state=UnitState.FAILED,
                            output=("no device",), log=(LAST_LINE,))  # fmt: skip
-    return UnitOutcome(done=True, seconds=4.2, state=UnitState.RUNNING)
+    return UnitOutcome(seconds=4.2, state=UnitState.RUNNING)
 
 
 ANSWERS: dict[Any, Any] = {ListUnits: lambda _: GROUPS, ControlUnit: _controlled}

@@ -71,7 +71,7 @@ def ticket(peer: Rogue, request: int = 1) -> int:
 
 def outcome(peer: Rogue, unit: str, action: Any = "restart", number: int | None = None) -> UnitOutcome:
     """Return the answer to a request with a number, or with a new ticket."""
-    peer.say(RunUnit(ticket(peer) if number is None else number, unit, action, "anna"))
+    peer.say(RunUnit(unit, action, ticket=ticket(peer) if number is None else number, who="anna"))
     return peer.wait_for(UnitEnded).outcome
 
 
@@ -100,14 +100,14 @@ def test_what_it_may_not_ask_for_is_refused(bridge: Bridge, bed: Bed) -> None:
         {"unit": "../nav"}, {"unit": "/bin/sh"}, {"unit": "nav; reboot"}, {"unit": "nav\0"}, {"unit": "nav\n"},
         {"unit": "x" * 64}, {"unit": ["sh", "-c", "id"]}, {"action": "status"}, {"action": "log"}, {"action": "exec"},
         {"action": ["restart"]}, {"who": "\x1b[2J"}, {"who": "x" * 256}, {"ticket": -1}, {"ticket": 2**60},
-        {"ticket": True}, {"ticket": "1"},
+        {"ticket": True}, {"ticket": "1"}, {"again": 1},
     ],
 )  # fmt: skip
 def test_requests_out_of_bounds_end_the_link(bridge: Bridge, bed: Bed, broken: dict[str, Any]) -> None:
     server = bed.start()
     with rogue(bridge) as peer:
         eventually(lambda: server.snapshot().links[0].state is State.OK, what="a link")
-        said = msgspec.to_builtins(RunUnit(ticket(peer), "nav", "restart"))
+        said = msgspec.to_builtins(RunUnit("nav", "restart", ticket=ticket(peer)))
         peer.say_raw(msgspec.msgpack.encode(said | broken))
         eventually(lambda: server.snapshot().links[0].state is not State.OK, what="the end of the link")
         assert happened(server, EventCode.LINK_LOST, Broken.INVALID_CONTROL_MESSAGE)
@@ -118,7 +118,7 @@ def test_words_of_the_peer_run_nothing(bridge: Bridge, bed: Bed) -> None:
     """A decoder leaves out what a message has besides, as a newer peer may add a field; none of it is ever used."""
     bed.start()
     with rogue(bridge) as peer:
-        said = msgspec.to_builtins(RunUnit(ticket(peer), "lidar", "restart"))
+        said = msgspec.to_builtins(RunUnit("lidar", "restart", ticket=ticket(peer)))
         words = {"restart": ["touch", "made"], "words": ["touch", "made"], "command": "touch made", "env": {"A": "b"}}
         peer.say_raw(msgspec.msgpack.encode(said | words | {"cwd": "/tmp", "timeout": 1e9, "allowed": True}))
         assert peer.wait_for(UnitEnded).outcome.refused
@@ -128,15 +128,13 @@ def test_words_of_the_peer_run_nothing(bridge: Bridge, bed: Bed) -> None:
 def test_each_ticket_counts_once(bridge: Bridge, bed: Bed) -> None:
     bed.start()
     with rogue(bridge) as peer:
-        first = ticket(peer)
-        second = ticket(peer, 2)
-        for number in (0, first, second + 1, 2**53):
+        numbers = [ticket(peer, request) for request in range(1, 6)]
+        for number in (0, numbers[0], numbers[-1] + 1, 2**53):
             assert outcome(peer, "nav", number=number).refused, number
         assert bed.ran == []
-        peer.say(*[RunUnit(second, "nav", "restart")] * 50)
-        ended = [peer.wait_for(UnitEnded).outcome for _ in range(50)]
-        assert sum(each.done for each in ended) == 1
-        assert sum(each.refused for each in ended) == 49
+        peer.say(*[RunUnit("nav", "restart", ticket=numbers[-1])] * 50)
+        assert peer.wait_for(UnitEnded).outcome.done
+        assert outcome(peer, "nav", "stop", number=numbers[-1]).done, "the end of the one action"
     assert bed.ran == ["restart"]
 
 
@@ -155,7 +153,11 @@ def test_a_ticket_of_another_connection_is_void(bridge: Bridge, bed: Bed) -> Non
     with rogue(bridge) as peer:
         number = ticket(peer)
     with rogue(bridge) as peer:
-        assert outcome(peer, "nav", number=number).refused
+        for again in (False, True):
+            peer.say(RunUnit("nav", "restart", ticket=number, again=again))
+            ended = peer.wait_for(UnitEnded).outcome
+            assert not ended.done
+            assert ended.refused is not again, "given again, it may have run before a restart"
     assert bed.ran == []
 
 
@@ -172,11 +174,11 @@ def test_one_at_a_time_and_few_a_minute(bridge: Bridge, bed: Bed) -> None:
     bed.nav.unit = msgspec.structs.replace(bed.nav.unit, start=go, restart=("true",), status=())
     bed.start()
     with rogue(bridge) as peer:
-        peer.say(RunUnit(ticket(peer), "nav", "start"))
+        peer.say(RunUnit("nav", "start", ticket=ticket(peer)))
         eventually(lambda: bed.ran, what="a command that runs")
         for request in range(3):
             number = ticket(peer, request + 2)
-            peer.say(RunUnit(number, "nav", "start"))
+            peer.say(RunUnit("nav", "start", ticket=number))
             assert peer.wait_for(UnitEnded).outcome.refused
         assert bed.ran == ["waits"]
         (bed.nav.folder / "go").touch()
@@ -210,7 +212,7 @@ def test_looks_are_bounded(bridge: Bridge, bed: Bed) -> None:
 def test_a_flood_ends_nothing_else(bridge: Bridge, bed: Bed) -> None:
     server = bed.start()
     with rogue(bridge) as peer:
-        peer.say(*(RunUnit(number, "nav", "restart", "x" * 255) for number in range(1000)))
+        peer.say(*(RunUnit("nav", "restart", ticket=number, who="x" * 255) for number in range(1000)))
         deadline = time.monotonic() + 60
         answers = 0
         while answers < 1000 and time.monotonic() < deadline:
@@ -227,8 +229,8 @@ def test_lies_about_units_reach_no_operator(bridge: Bridge, bed: Bed) -> None:
     server = bed.start()
     with rogue(bridge) as peer:
         eventually(lambda: server.snapshot().links[0].state is State.OK, what="a link")
-        peer.say(UnitAnswer(1, 1, (UnitRecord("mine", ("restart",)),)), UnitEnded(1, UnitOutcome(done=True)))
-        peer.say(UnitEnded(0, UnitOutcome(done=True, reason="x")))
+        peer.say(UnitAnswer(1, 1, (UnitRecord("mine", ("restart",)),)), UnitEnded(1, UnitOutcome()))
+        peer.say(UnitEnded(0, UnitOutcome(reason="x")))
         assert outcome(peer, "nav").done
         assert link(server).linked
 
@@ -249,7 +251,7 @@ def test_answers_out_of_bounds_end_the_link(bridge: Bridge, bed: Bed, broken: di
     "broken",
     [
         {"output": ["x"] * 65}, {"output": ["x" * 256]}, {"log": ["\x1b[2J"]}, {"reason": "x" * 501},
-        {"reason": "a\nb"}, {"seconds": -1.0}, {"state": ""}, {"done": 1},
+        {"reason": "a\nb"}, {"seconds": -1.0}, {"state": ""}, {"refused": 1},
     ],
 )  # fmt: skip
 def test_outcomes_out_of_bounds_end_the_link(bridge: Bridge, bed: Bed, broken: dict[str, Any]) -> None:

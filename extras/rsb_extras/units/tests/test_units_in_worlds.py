@@ -14,7 +14,7 @@ from tests.support.long import long
 
 from rsb_bridge.feature import MAY
 from rsb_extras.units import UNITS, ListedUnit
-from rsb_extras.units.link_units import LinkUnits
+from rsb_extras.units.link_units import LinkUnits, RunUnit
 from rsb_extras.units.tests.supervised import may
 from rsb_extras.units.tests.units_places import ARMED, EXECUTE
 from rsb_extras.units.unit_process import CommandEnd
@@ -35,7 +35,7 @@ def test_an_action_runs_once(seed: int, outlive: float, monkeypatch: pytest.Monk
     (robot,) = world.robots
     features = {UNITS.name: {"nav": NAV}, MAY: may("nav")}
     robot.host.session = msgspec.structs.replace(robot.host.session, features=features)
-    asking = Asking(world, lambda link: link.extensions.find(LinkUnits).run("nav", "restart"), STARTS)
+    asking = Asking(world, lambda link: link.extensions.find(LinkUnits).give(RunUnit("nav", "restart")), STARTS)
 
     async def execute(runner: UnitRunner, words: Sequence[str], *_: object) -> CommandEnd:
         if words == NAV.restart:

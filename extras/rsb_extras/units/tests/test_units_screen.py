@@ -97,7 +97,7 @@ async def test_a_result_outlives_the_screen(
     answer = await restarting(pilot, monkeypatch)
     await pilot.press("escape")
     await gone(pilot, "restart under way")
-    answer.set_result(UnitOutcome(done=True, seconds=4.2, state=UnitState.RUNNING))
+    answer.set_result(UnitOutcome(seconds=4.2, state=UnitState.RUNNING))
     await notified(pilot, UnitsCommandText.ENDED, name="nav", side="the server")
     app.clear_notifications()
     await opened(pilot, "j", "j", "j")
