@@ -41,11 +41,11 @@ class CompletedScreen(ModalScreen[None]):
 
     def __init__(self, name: str, completed: CompletedRecording, path: str = "") -> None:
         super().__init__()
-        self._name, self._completed, self._path = name, completed, path
+        self._of, self._completed, self._path = name, completed, path
         self.lines = ScrolledLines(id="completed")
 
     def compose(self) -> ComposeResult:
-        yield Dialog(self._name, self.lines, keys=_HELP, shape="-high")
+        yield Dialog(self._of, self.lines, keys=_HELP, shape="-high")
 
     def on_mount(self) -> None:
         self.call_after_refresh(self._show)

@@ -120,7 +120,7 @@ class Pace:
         while self._sent and self._heard < count:
             self._heard += 1
             sent, size = self._sent.popleft()
-            if self.has_others:
+            if self.has_others and not self._resume:
                 self._find_floor(size, now - sent)
             self._judge(now - sent, now)
 
@@ -135,7 +135,7 @@ class Pace:
         if self._floor is _Floor.USUAL and fastest > _SLOW:
             self._floor, self._usual, self.size = _Floor.TINY, fastest, _TINY
         elif self._floor is _Floor.TINY and fastest > self._usual - _FASTER:
-            self._floor = _Floor.LONG
+            self._floor, self.size = _Floor.LONG, _LEAST
 
     def _judge(self, seconds: float, now: float) -> None:
         if self._since is None or now - self._since > _BASE_FOR:
@@ -161,7 +161,7 @@ class Pace:
         """Judge by the mean of several slices, next to that of the smallest ones: only what their size adds counts."""
         count, total = len(self._together), sum(self._together)
         if self.size == _LEAST:
-            if count >= self._patience * _TOGETHER:
+            if count >= (1 if self._resume else self._patience) * _TOGETHER:
                 self.size, self._resume = max(self._resume, _GROW_TOGETHER * _LEAST), 0
                 self._together.clear()
         elif count == _TOGETHER or total > _TOGETHER * (self._varies + self._bounds.less_above):  # late already

@@ -175,26 +175,21 @@ def test_a_completion_under_way_is_awaited(monkeypatch: pytest.MonkeyPatch) -> N
     drive(scripted_app(), steps, NARROW)
 
 
-def test_a_file_tells_itself_what_is_missing() -> None:
+@on_main(NARROW)
+async def test_a_file_tells_itself_what_is_missing(app: ConsoleApp, pilot: Pilot[None]) -> None:
     """The bridge knows of fetches since it began only."""
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await opened(pilot, "m")
-        await shown(pilot, "        900           80       12 + ?  /scan (/front/scan over there)")
-        assert told(pilot.app, "read completed") == [("read completed", "0" * 16)]
-        await pilot.press("escape", "j", "m")
-        await notified(pilot, RecordingsScreenText.NOT_COMPLETED, name=DRIVE.name)
-
-    drive(scripted_app(), steps, NARROW)
+    await opened(pilot, "m")
+    await shown(pilot, "        900           80       12 + ?  /scan (/front/scan over there)")
+    assert told(app, "read completed") == [("read completed", "0" * 16)]
+    await pilot.press("escape", "j", "m")
+    await notified(pilot, RecordingsScreenText.NOT_COMPLETED, name=DRIVE.name)
 
 
-def test_each_folder_is_looked_through_once() -> None:
-    async def steps(pilot: Pilot[None]) -> None:
-        await opened(pilot)
-        asked = {command[1:] for command in told(pilot.app, "list recordings")}
-        assert asked == {("", True, False), ("", False, True)}, "this side's and the other sides', each alone"
-
-    drive(scripted_app(), steps, NARROW)
+@on_main(NARROW)
+async def test_each_folder_is_looked_through_once(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await opened(pilot)
+    asked = {command[1:] for command in told(app, "list recordings")}
+    assert asked == {("", True, False), ("", False, True)}, "this side's and the other sides', each alone"
 
 
 class Silent(ScriptedEngine):
