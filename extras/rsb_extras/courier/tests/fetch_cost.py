@@ -3,8 +3,8 @@
 ``python -m rsb_extras.courier.tests.fetch_cost beside [MB] [LINE]`` plays a robot behind 1 Mbit/s on virtual time,
 with a topic of 20 Hz, without a fetch and with one; ``… outages [MB] [LINE]`` one behind 20 Mbit/s and 20 ms, whose
 fetch has 20 outages of 3 s. Both play the Wi-Fi or the tunnel of `bench.robot_links`, too, and a line whose delay
-varies by itself. ``… cuts [MB]`` has two
-engines of this machine get a recording through a relay of 20 Mbit/s, with 20 cuts.
+varies by itself. ``… cuts [MB]`` has two engines of this machine get a recording through a relay of 20 Mbit/s, with
+20 cuts.
 """
 
 from __future__ import annotations
