@@ -39,7 +39,7 @@ ASKING = [
     "client rekey pc.yaml robot1", "client rekey pc.yaml robot1 --keep-old", "client rekey robot1 --finish --yes",
     "client remove robot1", "client remove pc.yaml robot1", "bench --quick --seconds 1", "doctor pc.yaml",
     "record list", "record list robot1 --json", "record get robot1 '' --no-wait", "record get robot1 '' --from 1",
-    "record get robot1 x", "record get robot1 x --json", "record cancel ''",
+    "record get robot1 x", "record get robot1 x --json", "record cancel ''", "record missing x",
     "nodes", "nodes --json", "units", "units --json", "units restart '' --yes",
     "lifecycle", "lifecycle --json", "lifecycle up '' --yes",
     "component list", "component list --json", "component load '' a a::B --yes", "component unload '' '' --yes",

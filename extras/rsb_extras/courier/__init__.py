@@ -89,9 +89,10 @@ class Courier(Feature):
             ListFetches,
             ListRecordings,
             NewestRecordings,
+            ReadCompleted,
         )
 
-        return ListRecordings, NewestRecordings, FetchRecording, ListFetches, CancelFetch
+        return ListRecordings, NewestRecordings, FetchRecording, ListFetches, ReadCompleted, CancelFetch
 
     def parts(self, bridge: Bridge) -> Iterable[EnginePart]:
         from rsb_extras.courier.courier_part import CourierPart  # noqa: PLC0415

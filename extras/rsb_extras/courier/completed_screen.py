@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
     from rsb_console.feature_console import Line
     from rsb_extras.courier.completed_recording import CompletedRecording, CompletedTopic
-    from rsb_extras.courier.courier_requests import FetchReport
 
 _HELP = "↑ ↓ scroll   esc close"
 _WIDTH = 72  # cells, until the screen is laid out
@@ -30,19 +29,23 @@ class CompletedScreenText(Wording):
 
 
 class CompletedScreen(ModalScreen[None]):
-    """What is in the file of a fetch that has completed what came live, the topics with gaps first."""
+    """What is in a file that completes what came live, the topics with gaps first.
+
+    Args:
+        path: of the file, if the bridge has written it since it began.
+    """
 
     BINDINGS: ClassVar = [Binding("escape,q,m", "dismiss", show=False)]
     AUTO_FOCUS = "#completed"
     DEFAULT_CSS = "#completed { height: 1fr; background: $surface; }"
 
-    def __init__(self, fetch: FetchReport) -> None:
+    def __init__(self, name: str, completed: CompletedRecording, path: str = "") -> None:
         super().__init__()
-        self._fetch = fetch
+        self._of, self._completed, self._path = name, completed, path
         self.lines = ScrolledLines(id="completed")
 
     def compose(self) -> ComposeResult:
-        yield Dialog(self._fetch.name, self.lines, keys=_HELP, shape="-high")
+        yield Dialog(self._of, self.lines, keys=_HELP, shape="-high")
 
     def on_mount(self) -> None:
         self.call_after_refresh(self._show)
@@ -51,13 +54,12 @@ class CompletedScreen(ModalScreen[None]):
         self._show()
 
     def _show(self) -> None:
-        completed, width = self._fetch.completed, self.lines.size.width or _WIDTH
-        if completed is not None:
-            self.lines.put([*_lines(completed, self._fetch.path, width)])
+        self.lines.put([*_lines(self._completed, self._path, self.lines.size.width or _WIDTH)])
 
 
 def _lines(completed: CompletedRecording, path: str, width: int) -> Iterator[Line]:
-    yield from wrapped(path, width, "strong")
+    if path:
+        yield from wrapped(path, width, "strong")
     for text in summary_texts(completed):
         yield from wrapped(text, width, "dim")
     if not any(map(_lacks, completed.topics)):

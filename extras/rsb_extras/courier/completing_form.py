@@ -9,14 +9,13 @@ from rsb_console.feature_console import Field, FormScreen, Spec
 from rsb_console.notation.formats import byte_count
 from rsb_extras.courier.courier_command import texts_of
 from rsb_extras.courier.courier_records import MARGIN, MOST_TOPICS
+from rsb_extras.courier.picking import HEADED
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from rsb_extras.courier.courier_records import ListedRecording
 
-_HEAD = 20
-"""Bytes that cross for each message, whether or not it came live (docs/courier-figures.md)."""
 _MOST_OFFERED = 16
 """Recordings of this side to choose from. A round figure: `record get --with` takes any."""
 
@@ -39,7 +38,7 @@ class CompletingForm(FormScreen[tuple[tuple[str, ...], str]]):
     """
 
     def __init__(self, side: str, recording: ListedRecording, here: Sequence[ListedRecording]) -> None:
-        size = byte_count(recording.size + _HEAD * recording.messages)
+        size = byte_count(recording.size + HEADED * recording.messages)
         known = ("", CompletingText.ALL()), *((each.id, _option(each)) for each in _overlapping(recording, here))
         super().__init__(
             CompletingText.TITLE(name=recording.name, side=side),

@@ -1,4 +1,4 @@
-"""The commands ``record list``, ``record get`` and ``record cancel``."""
+"""The commands ``record list``, ``record get``, ``record missing`` and ``record cancel``."""
 
 from __future__ import annotations
 
@@ -39,6 +39,7 @@ from rsb_extras.courier.courier_requests import (
     FetchState,
     ListFetches,
     ListRecordings,
+    ReadCompleted,
 )
 from rsb_extras.recording.record_command import record as record_last
 
@@ -58,9 +59,10 @@ _TIME = "%Y-%m-%dT%H:%M:%S"
 
 
 class CourierCommandText(Wording):
-    ALONE = "without list, get or cancel, record takes no {what}"
+    ALONE = "without list, get, missing or cancel, record takes no {what}"
     LIST_WORDS = "record list: give one link at most"
     GET_WORDS = "record get: give a link and a recording, as `rsb-console record list` prints them"
+    MISSING_WORDS = "record missing: give one recording of this side, as `rsb-console record list` prints it"
     CANCEL_WORDS = "record cancel: give the name of one fetch"
     GET_ONLY = "record {action} takes no {option}"
     WITH = "--with names what --complete completes: give both"
@@ -104,7 +106,7 @@ def record(arguments: Namespace) -> int:
     given = [*(given if action != "get" else ()), *_of_last(arguments)]
     if given:
         raise UsageError(CourierCommandText.GET_ONLY(action=action, option=given[0]))
-    return {"list": _list, "get": _get, "cancel": _cancel}[action](arguments)
+    return {"list": _list, "get": _get, "missing": _missing, "cancel": _cancel}[action](arguments)
 
 
 def _of_last(arguments: Namespace) -> Iterator[str]:
@@ -276,6 +278,14 @@ def _tell(engine: RemoteEngine, arguments: Namespace, fetch: FetchReport) -> int
     else:
         print_error(CourierCommandText.FAILED(name=fetch.name, reason=fetch.reason))
     return OK if is_done else FAILURE
+
+
+def _missing(arguments: Namespace) -> int:
+    if len(arguments.words) != 1:
+        raise UsageError(CourierCommandText.MISSING_WORDS())
+    with attached(arguments) as engine:
+        completed = result(engine.do(ReadCompleted(arguments.words[0])))
+    return done(arguments, *completed_lines(completed), completed=msgspec.to_builtins(completed))
 
 
 def _cancel(arguments: Namespace) -> int:

@@ -28,8 +28,8 @@ from rsb_bridge.feature_api import (
     why_not_written,
 )
 from rsb_extras.courier import RECORDINGS_KEY
-from rsb_extras.courier.completed_recording import AskedCompletion, CompletedName
-from rsb_extras.courier.completion_spool import CompletionSpool
+from rsb_extras.courier.completed_recording import AskedCompletion, CompletedName, CompletedRecording
+from rsb_extras.courier.completion_spool import METADATA_WITHIN, CompletionSpool, completed_in
 from rsb_extras.courier.courier_records import LATEST, ListedRecording, Wanted, called
 from rsb_extras.courier.courier_requests import (
     LISTED_WITHIN,
@@ -40,13 +40,14 @@ from rsb_extras.courier.courier_requests import (
     ListFetches,
     ListRecordings,
     NewestRecordings,
+    ReadCompleted,
     RecordingGroup,
 )
 from rsb_extras.courier.fetch_spool import GONE, SPOOL, AskedFetch, FetchSpool, Spool, load_asked
 from rsb_extras.courier.fetched_folder import FolderFullError, make_room
 from rsb_extras.courier.kept_recordings import FetchError, KeptRecordings
 from rsb_extras.courier.link_courier import CourierCode, LinkCourier
-from rsb_extras.courier.live_parts import named, overlapping, own_files
+from rsb_extras.courier.live_parts import named, overlapping, own_files, parts_of
 from rsb_extras.courier.pieces import PieceError
 from rsb_extras.recording.mcap_file import McapError
 
@@ -83,6 +84,8 @@ class FetchProblem(Wording):
     SPAN = "recording {name} has nothing in this span: it has {seconds:.0f} s"
     TOO_MANY = "{most} fetches are under way: cancel one of them, or wait"
     NO_FETCH = "there is no fetch {name} under way"
+    NOT_READ = "{name} cannot be read: {reason}"
+    NOT_COMPLETED = "{name} completes no recording: see rsb-console record get --complete"
     NOT_WRITTEN = "{path} is not written: {reason}"
     NO_LINK = "waits for {link}: {reason}"
     NEXT = "waits for another fetch of {link}"
@@ -162,6 +165,7 @@ class CourierPart(EnginePart):
             NewestRecordings: self._newest,
             FetchRecording: self._fetch_or_tell,
             ListFetches: self._reports,
+            ReadCompleted: self._completed,
             CancelFetch: self._cancel,
         }
         self.by_key = (((RECORDINGS_KEY.name,), lambda: None),)  # it is read whenever it is needed
@@ -185,9 +189,9 @@ class CourierPart(EnginePart):
     async def _list(self, command: ListRecordings) -> tuple[RecordingGroup, ...]:
         if command.link:
             return (await self._of_link(link_named(command.link, self._bridge.links())),)
-        own = RecordingGroup(recordings=tuple(await self._kept.all(None)))
+        own = () if command.there else (RecordingGroup(recordings=tuple(await self._kept.all(None))),)
         others = () if command.here else self._bridge.links()
-        groups = (own, *await asyncio.gather(*map(self._of_link, others)))
+        groups = (*own, *await asyncio.gather(*map(self._of_link, others)))
         return tuple(group for group in groups if group.recordings or group.problem)
 
     async def _of_link(self, link: Link) -> RecordingGroup:
@@ -204,6 +208,18 @@ class CourierPart(EnginePart):
             if command.link in ("", link.name)
         )
         return (RecordingGroup(recordings=tuple(here)), *there)
+
+    async def _completed(self, command: ReadCompleted) -> CompletedRecording:
+        return await asyncio.to_thread(self._read_completed, sanitize_text(command.recording, TEXT_LENGTH))
+
+    def _read_completed(self, name: str) -> CompletedRecording:
+        try:
+            found = completed_in(named(self._kept.of_this_side(), name).beginning(METADATA_WITHIN))
+        except OSError as error:
+            raise LinkError(FetchProblem.NOT_READ(name=name, reason=error.strerror)) from None
+        if found is None:
+            raise LinkError(FetchProblem.NOT_COMPLETED(name=name))
+        return found
 
     # --- fetches
 
@@ -259,7 +275,7 @@ class CourierPart(EnginePart):
     def _live(self, command: FetchRecording, listed: ListedRecording, completes: AskedCompletion) -> Sequence[LivePart]:
         """Return what came live of a span, on any thread; raises LinkError."""
         if command.live:
-            return named(self._kept.of_this_side(), command.live)
+            return parts_of(named(self._kept.of_this_side(), command.live), command.live)
         behind = round((completes.ahead or 0.0) * 1e9)
         own = (each for each in self._kept.own() if each.id != listed.id)
         files = own_files(state_folder(os.environ), self._context.session, own)

@@ -82,6 +82,7 @@ class ListRecordings(Command[tuple[RecordingGroup, ...]], frozen=True, tag="list
     cancellable = True
     link: str = ""
     here: bool = False  # this side alone: no link is asked
+    there: bool = False  # the other sides alone: no folder is looked through
 
 
 class NewestRecordings(Command[tuple[RecordingGroup, ...]], frozen=True, tag="newest_recordings"):
@@ -136,6 +137,18 @@ class ListFetches(Command[tuple[FetchReport, ...]], frozen=True, tag="list_fetch
 
     def checked(self, result: tuple[FetchReport, ...]) -> tuple[FetchReport, ...]:
         return tuple(msgspec.structs.replace(each, path=sanitize_text(each.path, _PATH)) for each in result)
+
+
+class ReadCompleted(Command[CompletedRecording], frozen=True, tag="read_completed"):
+    """Return what a recording of this side says that it completes, and what is missing.
+
+    Attributes:
+        recording: its id, its name, or the begin of its name.
+    """
+
+    right = Right.LOOK
+    refreshes = False
+    recording: str
 
 
 class CancelFetch(Command[None], frozen=True, tag="cancel_fetch"):

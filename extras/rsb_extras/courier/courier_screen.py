@@ -25,7 +25,13 @@ from rsb_console.feature_console import (
 from rsb_extras.courier.completed_screen import CompletedScreen
 from rsb_extras.courier.completing_form import CompletingForm
 from rsb_extras.courier.courier_command import HEADINGS, CourierCommandText, bar_text, newest_first, texts_of
-from rsb_extras.courier.courier_requests import CancelFetch, FetchRecording, ListFetches, ListRecordings
+from rsb_extras.courier.courier_requests import (
+    CancelFetch,
+    FetchRecording,
+    ListFetches,
+    ListRecordings,
+    ReadCompleted,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -33,6 +39,7 @@ if TYPE_CHECKING:
     from textual.app import ComposeResult
 
     from rsb_console.feature_console import Line, MainScreen
+    from rsb_extras.courier.completed_recording import CompletedRecording
     from rsb_extras.courier.courier_records import ListedRecording
     from rsb_extras.courier.courier_requests import FetchReport, RecordingGroup
 
@@ -55,7 +62,7 @@ class RecordingsScreenText(Wording):
     TOPICS = "topics: {topics}"
     PROBLEM = "not all of it is known: {problem}"
     FETCH = "{name} {bar}"
-    NOT_COMPLETED = "{name} has not been completed since the bridge began: press c on it"
+    NOT_COMPLETED = "{name} has not been completed since the bridge began: press c on it, or m on an earlier file"
     COMPLETING = "{name} is being completed: wait until that is over"
     MISSING = "m: what neither side has of it, and why"
 
@@ -132,7 +139,7 @@ class RecordingsScreen(SidesScreen["RecordingGroup"]):
         self._renew_fetches()
 
     def request(self) -> ListRecordings:
-        return ListRecordings(self.link)
+        return ListRecordings(self.link, there=True)
 
     def renew(self) -> None:
         self._renew_here()
@@ -148,7 +155,7 @@ class RecordingsScreen(SidesScreen["RecordingGroup"]):
             self._show_rows()
 
     def show(self, groups: Sequence[RecordingGroup]) -> None:
-        self._there = [group for group in groups if group.link]
+        self._there = groups
         self._show_rows()
         self.show_problems(groups, CourierCommandText.NONE(), is_empty=self.table.selected is None)
 
@@ -222,16 +229,30 @@ class RecordingsScreen(SidesScreen["RecordingGroup"]):
         if row is None or not self.table.is_seen():
             return
         name = row.recording.name
-        if (fetch := row.completed) is not None:
-            self._show_missing(fetch)
+        if (fetch := row.completed) is not None and fetch.completed is not None:
+            self._show_missing(fetch.name, fetch.completed, fetch.path)
         elif row.under_way is not None and row.under_way.completes:
             self.warn(RecordingsScreenText.COMPLETING(name=name))
-        else:
+        elif row.link:
             self.warn(RecordingsScreenText.NOT_COMPLETED(name=name))
+        else:
+            self._read_missing(row.recording)
 
     @work(group=DIALOG)
-    async def _show_missing(self, fetch: FetchReport) -> None:
-        await self.console.ask(CompletedScreen(fetch))
+    async def _show_missing(self, name: str, completed: CompletedRecording, path: str) -> None:
+        await self.console.ask(CompletedScreen(name, completed, path))
+
+    @work(group=DIALOG)
+    async def _read_missing(self, recording: ListedRecording) -> None:
+        """Show what a file of this side says itself: the bridge knows of fetches since it began only."""
+        if (engine := self.console.engine) is None:
+            return
+        try:
+            completed = await asyncio.wrap_future(engine.do(ReadCompleted(recording.id)))
+        except EngineError as error:
+            self.warn(str(error))
+        else:
+            await self.console.ask(CompletedScreen(recording.name, completed))
 
     def action_give_up(self) -> None:
         row = self._chosen()

@@ -6,7 +6,6 @@ import asyncio
 import hashlib
 import os
 import stat
-from contextlib import suppress
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -100,19 +99,15 @@ class Kept(NamedTuple):
         """Return a text without the folder: where a recording is, is no business of a peer."""
         return text.replace(f"{self.path.parent}/", "")
 
+    def beginning(self, size: int) -> bytes:
+        """Return the first bytes of a recording of one file, or none of a folder; raises OSError."""
+        return b"" if self.path.is_dir() else _read(self.path, size)
+
     def has_changed(self) -> bool:
         try:
             return self.marks != _marks(self.path)
         except (OSError, RecordingError):
             return True
-
-
-class _Place(NamedTuple):
-    """Where a recording may be; when its file or folder was changed last (ns since the epoch)."""
-
-    folder: Path
-    name: str
-    changed_at: int
 
 
 class _Known(NamedTuple):
@@ -169,9 +164,9 @@ class KeptRecordings:
         return [self._listed(each, rights, stop) for each in found[:most]]
 
     def _newest(self, most: int, stop: Callable[[], bool]) -> list[ListedRecording]:
-        """Look into those alone whose file or folder has changed last: a tile asks for them again and again."""
-        places = sorted(self._places(fetched=True), key=lambda place: place.changed_at, reverse=True)
-        found = islice(filter(None, (_kept(each.folder, each.name) for each in places)), most)
+        """Look into those alone whose files have changed last: a tile asks for them again and again."""
+        places = sorted(self._places(fetched=True), key=lambda place: _changed_at(*place), reverse=True)
+        found = islice(filter(None, (_kept(*place) for place in places)), most)
         newest = sorted(found, key=lambda each: each.changed_at, reverse=True)
         return [self._listed(each, None, stop) for each in newest]
 
@@ -197,12 +192,12 @@ class KeptRecordings:
         return (kept for kept in self._found(fetched=False) if kept.path.parent == self.recorded)
 
     def _found(self, *, fetched: bool) -> Iterator[Kept]:
-        for folder, name, _ in self._places(fetched=fetched):
+        for folder, name in self._places(fetched=fetched):
             if (kept := _kept(folder, name)) is not None:
                 yield kept
 
-    def _places(self, *, fetched: bool) -> Iterator[_Place]:
-        """Yield where recordings may be, folder by folder and by their names."""
+    def _places(self, *, fetched: bool) -> Iterator[tuple[Path, str]]:
+        """Yield the folders and names of what may be recordings, folder by folder and by their names."""
         folders = [self.recorded, *map(Path, RECORDINGS_KEY.of(self._context.session).folders)]
         if fetched:
             folders.append(self.fetched)
@@ -213,8 +208,7 @@ class KeptRecordings:
                 continue
             for name in names:
                 if not name.startswith(".") and folder / name != self.fetched:
-                    with suppress(OSError):  # it has gone meanwhile
-                        yield _Place(folder, name, (folder / name).lstat().st_mtime_ns)
+                    yield folder, name
 
     def _listed(self, kept: Kept, rights: Rights | None, stop: Callable[[], bool]) -> ListedRecording:
         summary, (cause, note) = self._summary(kept, stop)
@@ -264,6 +258,23 @@ def may_read(rights: Rights, topic: str) -> bool:
 
 def _is_name(name: str) -> bool:
     return 0 < len(name) <= TEXT_LENGTH and is_clean(name)
+
+
+def _changed_at(folder: Path, name: str) -> int:
+    """Return when a file of what may be a recording was changed last (ns since the epoch), or 0 if it is none.
+
+    The time of a bag's folder is that of its names: it stays while its one file grows.
+    """
+    path = folder / name
+    try:
+        status = path.lstat()
+        if not stat.S_ISDIR(status.st_mode):
+            return status.st_mtime_ns if stat.S_ISREG(status.st_mode) else 0
+        with os.scandir(path) as files:
+            found = [each for each in islice(files, _MOST_FILES) if each.name.endswith(SUFFIXES)]
+            return max((each.stat(follow_symlinks=False).st_mtime_ns for each in found), default=0)
+    except OSError:  # it has gone meanwhile, or is nobody's to read
+        return 0
 
 
 def _kept(folder: Path, name: str) -> Kept | None:

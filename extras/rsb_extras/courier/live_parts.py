@@ -98,15 +98,20 @@ def overlapping(files: Iterable[Path], topics: Iterable[str], begin: int, end: i
     return sorted(found.values(), key=lambda part: (part.begin, part.path))
 
 
-def named(recordings: Iterable[Kept], name: str) -> list[LivePart]:
-    """Return the files of a recording of this side by its name, its id or the begin of its name; raises LinkError."""
+def named(recordings: Iterable[Kept], name: str) -> Kept:
+    """Return a recording of this side by its name, its id or the begin of its name; raises LinkError."""
     found = called(name, recordings)
     if not found:
         raise LinkError(LivePartText.UNKNOWN(name=name))
     if len(found) > 1:
         raise LinkError(LivePartText.SEVERAL(name=name, ids=", ".join(each.id for each in found)))
+    return found[0]
+
+
+def parts_of(recording: Kept, name: str) -> list[LivePart]:
+    """Return the files of a recording of this side that an operator calls `name`; raises LinkError."""
     try:
-        parts = [(path, OpenRecording(path).summary) for path in files_of(found[0].path)]
+        parts = [(path, OpenRecording(path).summary) for path in files_of(recording.path)]
     except RecordingError as error:
         raise LinkError(LivePartText.UNREADABLE(name=name, error=error)) from None
     return [LivePart(path, each.begin, each.end) for path, each in parts]

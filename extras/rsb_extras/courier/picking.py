@@ -7,6 +7,7 @@ import struct
 from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
+from rsb_extras.courier.pieces import HEAD
 from rsb_extras.recording.reading.stored_message import StoredMessage, content_key
 
 if TYPE_CHECKING:
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
     from rsb_extras.recording.reading.open_recording import OpenRecording
 
 _HEAD = struct.Struct("<qI")
+HEADED = HEAD.size + _HEAD.size
+"""Bytes of a message with its head in place of its content, before a piece is packed."""
 _ISLANDS = 64
 """Parts of a recording that are looked for by their times for one order. A round figure: to look for one goes through
 its index, so a peer must not ask for thousands."""

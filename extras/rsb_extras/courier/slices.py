@@ -26,8 +26,18 @@ _TRIED = 8
 """Slices of which the fastest counts for that: with 0.2 s of jitter, it is 0.1 s late in one of 256 cases."""
 _GROWS, _SHRINKS = 1.25, 0.7  # round figures
 _VARIES_OVER, _VARIES_MOST = 16, 0.035
-"""How many of the smallest slices have the mean delay that counts for the line's own, and how much (s) it is at most. A
-radio with 0.1 s of jitter is no full line; with more, topics beside a fetch would wait for as long."""
+"""How many of the smallest slices have the mean delay that counts for the line's own, and how much (s) of it is taken
+off a single slice at most. A radio with 0.1 s of jitter is no full line; with more, topics beside a fetch would wait
+for as long."""
+_UNSTEADY, _STEADY = 0.1, 0.07
+"""s of that mean, beyond which a single slice says nothing, until it is less again: 0.2 s of jitter have 0.1 s, and a
+line of 1 Mbit/s that topics and a fetch fill has 0.07 s."""
+_TOGETHER, _GROW_TOGETHER = 16, 2
+"""Slices of an unsteady line that are judged together, and the factor by which they grow then. Their mean varies by a
+quarter of what one does: 0.02 s with 0.2 s of jitter each way."""
+_PATIENCE, _MOST_PATIENCE = 2, 16
+"""Times `_TOGETHER` of the smallest slices before larger ones are tried: at first, and once that was in vain several
+times. A line that topics nearly fill may look unsteady, and larger slices there delay them."""
 _BASE_FOR = 60.0
 """s for which the fastest slice counts at least: a way may get longer."""
 
@@ -82,6 +92,10 @@ class Pace:
         self._since: float | None = None
         self._varies = 0.0  # s that a small slice takes longer than the fastest: by others, and by a radio's moods
         self._floor = _Floor.USUAL
+        self._is_unsteady = False
+        self._together: list[float] = []  # s beyond the fastest of slices that are judged together
+        self._patience = _PATIENCE
+        self._resume = 0  # bytes of slices that go on once it is known again how much the line varies
         self._tried: list[float] = []  # s of slices of the floor
         self._usual = 0.0  # s of the fastest of the usual floor, once smaller ones are tried
 
@@ -106,7 +120,7 @@ class Pace:
         while self._sent and self._heard < count:
             self._heard += 1
             sent, size = self._sent.popleft()
-            if self.has_others:
+            if self.has_others and not self._resume:
                 self._find_floor(size, now - sent)
             self._judge(now - sent, now)
 
@@ -121,21 +135,47 @@ class Pace:
         if self._floor is _Floor.USUAL and fastest > _SLOW:
             self._floor, self._usual, self.size = _Floor.TINY, fastest, _TINY
         elif self._floor is _Floor.TINY and fastest > self._usual - _FASTER:
-            self._floor = _Floor.LONG
+            self._floor, self.size = _Floor.LONG, _LEAST
 
     def _judge(self, seconds: float, now: float) -> None:
         if self._since is None or now - self._since > _BASE_FOR:
             self._since, self._fastest_before, self._fastest = now, self._fastest, float("inf")
             if self._floor is _Floor.TINY and self.has_others:
                 self.size = _TINY  # else the fastest would be a larger one each time: its own size makes it slow there
+            elif self._is_unsteady and self._floor is not _Floor.TINY:
+                self._resume, self.size = self.size, _LEAST  # how much the line varies by itself is measured anew
+                self._together.clear()
         self._fastest = min(self._fastest, seconds)
         over = seconds - min(self._fastest, self._fastest_before)
-        bounds = self._bounds
         if self.size == _LEAST:
             self._varies += (over - self._varies) / _VARIES_OVER
-        over -= min(self._varies, _VARIES_MOST)
+            self._is_unsteady = self._varies > (_STEADY if self._is_unsteady else _UNSTEADY)
+        if self._is_unsteady and self._floor is not _Floor.TINY:
+            self._together.append(over)
+            self._judge_together()
+        else:
+            self._together.clear()
+            self._resize(over - min(self._varies, _VARIES_MOST), _GROWS)
+
+    def _judge_together(self) -> None:
+        """Judge by the mean of several slices, next to that of the smallest ones: only what their size adds counts."""
+        count, total = len(self._together), sum(self._together)
+        if self.size == _LEAST:
+            if count >= (1 if self._resume else self._patience) * _TOGETHER:
+                self.size, self._resume = max(self._resume, _GROW_TOGETHER * _LEAST), 0
+                self._together.clear()
+        elif count == _TOGETHER or total > _TOGETHER * (self._varies + self._bounds.less_above):  # late already
+            self._resize(total / _TOGETHER - self._varies, _GROW_TOGETHER)
+            self._together.clear()
+            if self.size == _LEAST:
+                self._patience = min(2 * self._patience, _MOST_PATIENCE)
+            elif self.size >= _THIN:
+                self._patience = _PATIENCE
+
+    def _resize(self, over: float, grows: float) -> None:
+        bounds = self._bounds
         if over < bounds.more_below:
-            self.size = min(int(self.size * _GROWS), PIECE)
+            self.size = min(int(self.size * grows), PIECE)
         elif over > bounds.less_above:
             self.size = int(self.size * _SHRINKS)
         self.size = max(self.size, bounds.least)

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 _VERSION = 9
 NAME = "metadata.yaml"
+_LASTING = errno.EIO, errno.EACCES, errno.EPERM
+"""Errors of a file that will not read later either. Others pass, and its messages are there."""
 
 
 class _Topic(NamedTuple):
@@ -29,10 +31,17 @@ class _Topic(NamedTuple):
 
 
 class _File(NamedTuple):
+    """A file and what is in it.
+
+    Attributes:
+        unread: why nothing of it can be read, or empty.
+    """
+
     path: Path
     begin: int  # ns since the epoch
     end: int
     counts: Counter[_Topic]
+    unread: str = ""
 
     @property
     def information(self) -> dict[str, Any]:
@@ -49,15 +58,17 @@ class BagFigures(NamedTuple):
 
     Attributes:
         seconds: from the first message to the last.
+        unread: why files cannot be read that are there.
     """
 
     messages: int
     topics: int
     seconds: float
+    unread: tuple[str, ...]
 
 
 def bag_metadata(files: Sequence[Path], custom: Mapping[str, str]) -> tuple[str, BagFigures]:
-    """Return the metadata of MCAP files, and what is in them, as far as it can be read.
+    """Return the metadata of those MCAP files that are there, and what is in them, as far as it can be read.
 
     Args:
         custom: what rosbag2 calls ``custom_data``.
@@ -65,7 +76,7 @@ def bag_metadata(files: Sequence[Path], custom: Mapping[str, str]) -> tuple[str,
     Raises:
         OSError: one cannot be read now.
     """
-    read = [_read(path) for path in files]
+    read = [each for path in files if (each := _read(path)) is not None]
     filled = [each for each in read if each.counts] or read
     begin, end = min((each.begin for each in filled), default=0), max((each.end for each in filled), default=0)
     counts = sum((each.counts for each in read), Counter[_Topic]())
@@ -78,13 +89,14 @@ def bag_metadata(files: Sequence[Path], custom: Mapping[str, str]) -> tuple[str,
         "topics_with_message_count": [*_topics(counts)],
         "compression_format": "",
         "compression_mode": "",
-        "relative_file_paths": [path.name for path in files],
+        "relative_file_paths": [each.path.name for each in read],
         "files": [each.information for each in read],
         "custom_data": dict(custom),
         "ros_distro": "rosbag2_cpp",
     }
     text: str = yaml.safe_dump({"rosbag2_bagfile_information": information}, sort_keys=False, allow_unicode=True)
-    return text, BagFigures(counts.total(), len({each.name for each in counts}), (end - begin) / 1e9)
+    unread = tuple(each.unread for each in read if each.unread)
+    return text, BagFigures(counts.total(), len({each.name for each in counts}), (end - begin) / 1e9, unread)
 
 
 def _topics(counts: Mapping[_Topic, int]) -> Iterable[dict[str, Any]]:
@@ -99,15 +111,19 @@ def _topics(counts: Mapping[_Topic, int]) -> Iterable[dict[str, Any]]:
         yield {"topic_metadata": metadata, "message_count": count}
 
 
-def _read(path: Path) -> _File:
+def _read(path: Path) -> _File | None:
+    """Return what is in a file, or None if it is gone; raises OSError if it cannot be read now."""
     counts: Counter[_Topic] = Counter()
     try:
         recording = OpenRecording(path)
     except RecordingError as error:
         cause = error.__cause__
-        if isinstance(cause, OSError) and cause.errno != errno.EIO:  # it passes, and the messages are there
+        if isinstance(cause, FileNotFoundError):
+            return None
+        if isinstance(cause, OSError) and cause.errno not in _LASTING:
             raise cause from None
-        return _File(path, 0, 0, counts)  # the disk has damaged it: a reader says so, and the ring has to go on
+        unread = str(error).replace(f"{path.parent}/", "")  # which has another name soon
+        return _File(path, 0, 0, counts, unread)  # a reader says so, too, and the ring has to go on
     for channel, count in recording.counts.items():
         if count:
             counts[_Topic(channel.topic, channel.type_name, channel.type_hash, channel.profiles)] += count

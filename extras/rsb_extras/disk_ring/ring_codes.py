@@ -15,6 +15,8 @@ class RingCode(StrEnum):
     LOST = "ring.lost"
     STOPPED = "ring.stopped"
     GOES_ON = "ring.goes_on"
+    UNREAD = "ring.unread"
+    """A kept stretch has a file that cannot be read."""
 
 
 class RingText(Wording):
@@ -27,6 +29,7 @@ class RingText(Wording):
     LOST = "{count:,} messages are not in {folder}: the disk is too slow, or the bridge too busy"
     STOPPED = "nothing is written to {folder}: {error}"
     GOES_ON = "the ring is written again; {count:,} messages are missing"
+    UNREAD = "{path} lacks the messages of a file, which cannot be read: {reason}"
     NO_SPACE = "less than {free:g} GB of its disk are free: free some, or lower record.free"
 
 

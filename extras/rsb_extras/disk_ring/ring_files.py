@@ -323,7 +323,9 @@ class RingFiles:
         return text
 
     def _tell(self, kept: KeptStretchFolder, text: RingText, **more: str) -> None:
-        messages, topics, seconds = kept.figures
+        messages, topics, seconds, unread = kept.figures
+        for reason in unread:
+            self._log.add(Level.WARNING, RingCode.UNREAD, RingText.UNREAD(path=kept.path, reason=reason))
         line = text(messages=messages, topics=topics, seconds=seconds, path=kept.path, **more)
         self._log.add(Level.INFO, RingCode.KEPT, line)
 

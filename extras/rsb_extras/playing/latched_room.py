@@ -21,6 +21,20 @@ _COUNTED = 100_000
 _NOTHING = memoryview(b"")
 
 
+class _Held:
+    """The messages that DDS keeps of a publisher.
+
+    Attributes:
+        sizes: of these messages.
+        is_before: whether all of them were published before the last seek.
+    """
+
+    def __init__(self, played: PlayedTopic) -> None:
+        self.played = played
+        self.sizes: deque[int] = deque()
+        self.is_before = False
+
+
 class LatchedRoom:
     """Counts the bytes that DDS keeps of latched publishers.
 
@@ -31,8 +45,8 @@ class LatchedRoom:
     def __init__(self) -> None:
         self._left_out: set[tuple[str, int, int]] = set()
         """Topics, times and numbers of these messages."""
-        self._kept: dict[int, deque[int]] = {}
-        """Sizes of the messages that DDS keeps, by the `id` of their publishers."""
+        self._held: dict[int, _Held] = {}
+        """By the `id` of their publishers."""
         self._size = 0
 
     @property
@@ -43,20 +57,40 @@ class LatchedRoom:
         if len(self._left_out) < _COUNTED:
             self._left_out.add((message.channel.topic, message.time, message.number))
 
-    def has_room(self, played: PlayedTopic, message: StoredMessage) -> bool:
-        """Whether a message may be published, which takes its room."""
+    def seek(self) -> None:
+        """Note that playing goes on elsewhere: late joiners need what comes then, and no more what DDS keeps now."""
+        for held in self._held.values():
+            held.is_before = True
+
+    def take(self, played: PlayedTopic, message: StoredMessage) -> bool:
+        """Take a message's room, or return False if there is none.
+
+        Publishers that have published nothing since the last seek make room first.
+
+        Raises:
+            RosError: one of them was not made anew.
+        """
         if not played.kept:
             return True
-        sizes = self._kept.setdefault(id(played), deque())
-        more = len(message.content) - (sizes[0] if len(sizes) == played.kept else 0)
-        if self._size + more > LATCHED_BYTES:
-            self._leave_out(message)
-            return False
-        if len(sizes) == played.kept:
-            sizes.popleft()
-        sizes.append(len(message.content))
+        held = self._held.setdefault(id(played), _Held(played))
+        while self._size + (more := self._growth(held, message)) > LATCHED_BYTES:
+            before = next((each for each in self._held.values() if each.is_before and each.sizes), None)
+            if before is None:
+                self._leave_out(message)
+                return False
+            self._size -= sum(before.sizes)
+            before.sizes.clear()
+            before.played.renew()
+        if len(held.sizes) == played.kept:
+            held.sizes.popleft()
+        held.sizes.append(len(message.content))
+        held.is_before = False
         self._size += more
         return True
+
+    def _growth(self, held: _Held, message: StoredMessage) -> int:
+        oldest = held.sizes[0] if len(held.sizes) == held.played.kept else 0
+        return len(message.content) - oldest
 
     def newest(self, messages: Iterable[StoredMessage], publishers: PlayedPublishers) -> list[StoredMessage]:
         """Return the messages that late joiners get after all of these, in their order, as far as there is room."""

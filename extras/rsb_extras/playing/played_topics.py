@@ -52,15 +52,25 @@ class PlayText(Wording):
     PLAYED = "played {messages:,} messages in {seconds:.1f} s; late by {p50:.2f} ms (p50), {p99:.2f} ms (p99)"
 
 
-class PlayedTopic(NamedTuple):
+class PlayedTopic:
     """A publisher in place of recorded ones.
 
     Attributes:
         kept: messages that late joiners get, or 0.
+
+    Raises:
+        RosError: the domain takes no such publisher.
     """
 
-    publisher: Publisher
-    kept: int
+    def __init__(self, node: RosNode, spec: TopicSpec) -> None:
+        self._node, self._spec = node, spec
+        self.kept = spec.qos.depth if spec.qos.latched else 0
+        self.publisher: Publisher = node.advertise(spec, "play")
+
+    def renew(self) -> None:
+        """Publish by a new publisher, so that DDS frees what it keeps; raises RosError."""
+        self.publisher.close()
+        self.publisher = self._node.advertise(self._spec, "play")
 
 
 class PlayedChoice(NamedTuple):
@@ -122,7 +132,7 @@ class PlayedPublishers:
                 qos = played_qos(channel.profiles)
                 spec = TopicSpec(channel.topic, channel.type_name, _hash_of(node, channel), qos)
                 try:
-                    played = made[key] = PlayedTopic(node.advertise(spec, "play"), qos.depth if qos.latched else 0)
+                    played = made[key] = PlayedTopic(node, spec)
                 except RosError as error:
                     self.left_out.append(PlayText.LEFT_OUT(topic=channel.topic, reason=sanitize_text(str(error))))
                     continue

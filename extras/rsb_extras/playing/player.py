@@ -182,9 +182,11 @@ class Player:
 
     def _publish(self, message: StoredMessage) -> None:
         played = self._publishers.of(message.channel)
-        if played is None or not self.room.has_room(played, message):
+        if played is None:
             return
         try:
+            if not self.room.take(played, message):
+                return
             played.publisher.publish(bytes(message.content))
             self.messages += 1
         except RosError as error:
@@ -207,6 +209,7 @@ class Player:
     def _go_to(self, at: int) -> None:
         """Go on from a time (ns) in the recording, after what late joiners had got by then."""
         self._ahead.close()
+        self.room.seek()
         for message in self._latched_before(at):
             self._publish(message)
         topics, end = self._publishers.topics, self._span.end + 1

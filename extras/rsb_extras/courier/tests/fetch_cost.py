@@ -2,8 +2,9 @@
 
 ``python -m rsb_extras.courier.tests.fetch_cost beside [MB] [LINE]`` plays a robot behind 1 Mbit/s on virtual time,
 with a topic of 20 Hz, without a fetch and with one; ``… outages [MB] [LINE]`` one behind 20 Mbit/s and 20 ms, whose
-fetch has 20 outages of 3 s. Both play the Wi-Fi or the tunnel of `bench.robot_links`, too. ``… cuts [MB]`` has two
-engines of this machine get a recording through a relay of 20 Mbit/s, with 20 cuts.
+fetch has 20 outages of 3 s. Both play the Wi-Fi or the tunnel of `bench.robot_links`, too, and a line whose delay
+varies by itself. ``… cuts [MB]`` has two engines of this machine get a recording through a relay of 20 Mbit/s, with
+20 cuts.
 """
 
 from __future__ import annotations
@@ -60,6 +61,7 @@ class Line(NamedTuple):
 LINES = {
     "line": Line((0.02, 0.021), 20 * _MBIT),
     "wifi": Line((0.02, 0.035), 20 * _MBIT, 0.02),
+    "jitter": Line((0.02, 0.22), 20 * _MBIT),
     "tunnel": Line((0.005, 0.0051), 5_000.0),
 }
 _SETTLED, _SECONDS = 60.0, 120.0

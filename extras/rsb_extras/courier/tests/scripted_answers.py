@@ -23,6 +23,7 @@ from rsb_extras.courier.courier_requests import (
     ListFetches,
     ListRecordings,
     NewestRecordings,
+    ReadCompleted,
     RecordingGroup,
 )
 
@@ -60,7 +61,7 @@ COMPLETED = CompletedRecording(
 
 
 def _listed(command: ListRecordings) -> Any:
-    groups = GROUPS[:1] if command.here else GROUPS
+    groups = GROUPS[:1] if command.here else GROUPS[1:] if command.there else GROUPS
     return tuple(group for group in groups if command.link in ("", group.link))
 
 
@@ -73,5 +74,6 @@ ANSWERS: dict[Any, Any] = {
     NewestRecordings: _newest,
     FetchRecording: lambda _: DONE.name,
     ListFetches: lambda _: (FETCH, DONE),
+    ReadCompleted: lambda _: COMPLETED,
     CancelFetch: lambda _: None,
 }

@@ -14,15 +14,23 @@ from tests.support.waiting import eventually
 
 from rsb_bridge.api import EngineError
 from rsb_extras.courier import RecordingFolders
-from rsb_extras.courier.completed_recording import ClockSource, CompletedRecording, MissingReason
+from rsb_extras.courier.completed_recording import (
+    ClockSource,
+    CompletedClock,
+    CompletedRecording,
+    CompletedTopic,
+    MissingReason,
+)
+from rsb_extras.courier.completion_spool import METADATA, completed_in
 from rsb_extras.courier.courier_records import LATEST
-from rsb_extras.courier.courier_requests import CancelFetch, FetchRecording, FetchState
+from rsb_extras.courier.courier_requests import CancelFetch, FetchRecording, FetchState, ReadCompleted
 from rsb_extras.courier.tests.bags import BEGAN, SECOND, channel, in_bag, write_bag
 from rsb_extras.courier.tests.courier_bed import done, fetches, report, slow_link, two_sides
+from rsb_extras.recording.mcap_file import new_recording
 from rsb_extras.recording.reading.stored_message import StoredMessage
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable
 
     from tests.support.bridge import Bridge
 
@@ -111,6 +119,28 @@ def test_each_message_is_there_once_on_one_clock(bridge: Bridge, bags: Path) -> 
         (record,) = make_reader(file).iter_metadata()
     assert record.name == "rsb_completed"
     assert msgspec.json.decode(record.metadata["json"], type=CompletedRecording) == result
+
+
+def test_the_file_tells_what_is_missing_after_a_restart(bridge: Bridge, bags: Path) -> None:
+    mostly_missing(bags)
+    pc, _ = two_sides(bridge, bags)
+    found, result = completed(pc)
+    pc.stop()
+    pc = bridge.server()
+    assert pc.do(ReadCompleted(Path(found.path).name)).result(60) == result
+    for name, reason in (("robot1-2", "completes no recording"), ("nothing", "has no recording nothing")):
+        with pytest.raises(EngineError, match=reason):
+            pc.do(ReadCompleted(name)).result(60)
+
+
+@pytest.mark.parametrize("change", [lambda head: head[:60], lambda head: head])
+def test_a_file_that_says_anything_completes_nothing(change: Callable[[bytes], bytes], tmp_path: Path) -> None:
+    path = tmp_path / "any.mcap"
+    text = msgspec.json.encode(CompletedRecording(CompletedClock(ClockSource.NONE), (CompletedTopic("/a", "/b", 3),)))
+    with new_recording(path, metadata={METADATA: {"json": text.decode()}}):
+        pass
+    assert completed_in(path.read_bytes()) is not None
+    assert completed_in(change(path.read_bytes().replace(b'"live":3', b'"live":"3"'))) is None
 
 
 def test_nothing_is_fetched_that_came(bridge: Bridge, bags: Path) -> None:

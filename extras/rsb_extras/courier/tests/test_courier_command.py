@@ -144,6 +144,14 @@ def test_completing_tells_what_is_missing_and_why(machine: Machine, ran: Run, mo
     assert msgspec.convert(found, CompletedRecording) == COMPLETED
 
 
+def test_a_file_tells_what_is_missing(machine: Machine, ran: Run) -> None:
+    machine.serve()
+    told = ran("record", "missing", "robot1-noon-completed.mcap").out.splitlines()
+    assert told[2] == "/scan (/front/scan over there): 900 live, 80 fetched, 12 in neither recording"
+    found = ran("record", "missing", "robot1-noon-completed.mcap", "--json").json
+    assert msgspec.convert(found["completed"], CompletedRecording) == COMPLETED
+
+
 @pytest.mark.parametrize(
     ("source", "text"), [("link", "by the link's measurement"), ("none", "by nothing: no message came live")]
 )
@@ -204,6 +212,7 @@ def test_a_fetch_is_given_up(asked: list[Any], ran: Run) -> None:
         (f"record get robot1 {DRIVE.name} --with noon", "give both"),
         ("record list --complete", "record list takes no --complete"),
         ("record cancel", "give the name of one fetch"),
+        ("record missing", "give one recording of this side"),
         ("record get robot1 x --from noon", "--from noon: give seconds"),
         ("record get robot1 x --from 3", "x does not say when it begins"),
         (f"record get robot1 {DRIVE.name} --from 20 --to 10", "--to is before --from"),

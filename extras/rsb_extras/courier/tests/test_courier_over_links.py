@@ -96,6 +96,17 @@ def test_newest_recordings_are_those_that_came_last(
     assert sorted(read) == ["a.mcap", "c.mcap"]
 
 
+def test_a_bag_that_is_being_written_came_last(bridge: Bridge, bags: Path) -> None:
+    """Its folder has the time at which its file began."""
+    write_bag(bags / "drive.mcap", messages(1))
+    (bags / "growing").mkdir()
+    write_bag(bags / "growing" / "growing_0.mcap", messages(1))
+    for path, at in (("drive.mcap", 2), ("growing/growing_0.mcap", 3), ("growing", 1)):
+        os.utime(bags / path, (BEGAN / SECOND + at,) * 2)
+    _, robot = two_sides(bridge, bags)
+    assert [each.name for each in newest(robot, 1)[0].recordings] == ["growing"]
+
+
 def test_why_a_recording_was_kept_is_listed(bridge: Bridge, bags: Path) -> None:
     """As `rsb_extras.disk_ring` writes it; what else may stand there takes neither time nor memory."""
     deep = ["a0: &a0 [many]", *(f"a{at}: &a{at} [{', '.join([f'*a{at - 1}'] * 10)}]" for at in range(1, 12))]

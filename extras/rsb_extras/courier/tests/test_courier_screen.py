@@ -93,7 +93,7 @@ async def test_a_recording_is_completed_by_what_is_here(app: ConsoleApp, pilot: 
     await notified(pilot, RecordingsScreenText.HERE, name="noon.mcap")
     await pilot.press("j", "c")
     await shown(pilot, f"Complete {DRIVE.name} of the server")
-    await shown(pilot, "184 MB cross, less what came live")
+    await shown(pilot, "185 MB cross, less what came live")
     await shown(pilot, "all that this bridge has recorded then")
     await pilot.press("enter")
     await notified(pilot, RecordingsScreenText.BEGUN, name=DRIVE.name, side="the server")
@@ -121,9 +121,7 @@ def test_what_is_missing_after_a_completion_is_shown(monkeypatch: pytest.MonkeyP
     with_fetches(monkeypatch, COMPLETE)
 
     async def steps(pilot: Pilot[None]) -> None:
-        await opened(pilot, "m")
-        await notified(pilot, RecordingsScreenText.NOT_COMPLETED, name="noon.mcap")
-        await pilot.press("j")
+        await opened(pilot, "j")
         await shown(pilot, "m: what neither side has of it, and why")
         await pilot.press("m")
         await shown(pilot, "1.0 MB of 9.0 MB of messages over there were missing here")
@@ -175,6 +173,23 @@ def test_a_completion_under_way_is_awaited(monkeypatch: pytest.MonkeyPatch) -> N
         await shown(pilot, "Give up robot1-completed?")
 
     drive(scripted_app(), steps, NARROW)
+
+
+@on_main(NARROW)
+async def test_a_file_tells_itself_what_is_missing(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    """The bridge knows of fetches since it began only."""
+    await opened(pilot, "m")
+    await shown(pilot, "        900           80       12 + ?  /scan (/front/scan over there)")
+    assert told(app, "read completed") == [("read completed", "0" * 16)]
+    await pilot.press("escape", "j", "m")
+    await notified(pilot, RecordingsScreenText.NOT_COMPLETED, name=DRIVE.name)
+
+
+@on_main(NARROW)
+async def test_each_folder_is_looked_through_once(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await opened(pilot)
+    asked = {command[1:] for command in told(app, "list recordings")}
+    assert asked == {("", True, False), ("", False, True)}, "this side's and the other sides', each alone"
 
 
 class Silent(ScriptedEngine):

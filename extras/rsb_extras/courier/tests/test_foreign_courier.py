@@ -37,7 +37,7 @@ from rsb_extras.courier.fetch_spool import PieceRow
 from rsb_extras.courier.link_courier import LinkCourier
 from rsb_extras.courier.pieces import Piece, PieceContent, encode_piece
 from rsb_extras.courier.tests.bags import BEGAN, messages, write_bag
-from rsb_extras.courier.tests.courier_bed import fetch, report, robot_features, two_sides
+from rsb_extras.courier.tests.courier_bed import done, fetch, report, robot_features, two_sides
 from rsb_extras.courier.tests.courier_places import ENCODED_PIECE, LEFT_FREE, LIST_PAGE
 
 if TYPE_CHECKING:
@@ -280,8 +280,8 @@ def test_a_gap_begins_anew(bridge: Bridge, bags: Path, monkeypatch: pytest.Monke
 
     ENCODED_PIECE.set(monkeypatch, encoded)
     pc, _ = two_sides(bridge, bags)
-    name = fetch(pc, "drive.mcap")
-    eventually(lambda: report(pc, name).state is FetchState.DONE, what="the fetch is done")
+    done(pc, fetch(pc, "drive.mcap"))
+    assert next(gaps, None) is None, "there was a gap"
 
 
 def test_a_full_disk_has_it_wait(bridge: Bridge, bags: Path, monkeypatch: pytest.MonkeyPatch) -> None:

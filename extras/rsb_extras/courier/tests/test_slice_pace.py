@@ -6,6 +6,8 @@ from collections import deque
 from random import Random
 from typing import TYPE_CHECKING
 
+import pytest
+
 from rsb_extras.courier.slices import Pace
 from rsb_extras.courier.tests.bags import messages, write_bag
 from rsb_extras.courier.tests.fetch_cost import LINES, topic_beside
@@ -100,3 +102,25 @@ def test_line_that_was_thin_has_large_slices() -> None:
 def test_jitter_is_no_full_line() -> None:
     """Behind 20 Mbit/s, 50 ms and up to 0.1 s of jitter, a fetch beside topics does not stay at the smallest slices."""
     assert sum(crossing(60.0, 0.05, 0.1, 2.5e6)) / 60.0 > 200_000  # B/s
+
+
+@pytest.mark.parametrize("jitter", [0.2, 0.5])
+def test_fetch_outruns_jitter_of_a_radio(jitter: float) -> None:
+    """A fetch had 15 kB/s behind 20 Mbit/s, 50 ms and up to 0.2 s of jitter: each slice looked late."""
+    sizes = crossing(300.0, 0.05, jitter, 2.5e6)
+    assert sum(sizes) / 300.0 > 150_000  # B/s
+
+
+def test_line_that_gets_thin_under_jitter() -> None:
+    """Slices get small within seconds, although those of a radio with jitter are judged together."""
+    sizes = crossing(120.0, 0.05, 0.2, 2.5e6, 125e3)
+    assert sum(1 for size in sizes if size > 30_000) > 20, "they were large"
+    assert max(sizes[-20:]) < 16 << 10
+
+
+def test_topic_beside_a_fetch_on_a_line_with_jitter(bags: Path) -> None:
+    """20 Hz of 1,000 B behind 20 Mbit/s and 20 to 220 ms each way, whose p99 is 220 ms alone; a fetch had 7.6 kB/s."""
+    write_bag(bags / "drive.mcap", messages(120, 500_000))
+    beside = topic_beside(1, 1_000, bags, fetches=True, line=LINES["jitter"])
+    assert beside.p99 < 0.3
+    assert beside.fetched > 100_000

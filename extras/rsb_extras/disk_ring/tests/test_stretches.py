@@ -283,5 +283,47 @@ def test_a_passing_error_makes_no_empty_stretch(bed: RingBed, monkeypatch: pytes
     after.end()
 
 
+def test_file_that_may_not_be_read_is_told_once(bed: RingBed, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The stretch is whole without it: it was left unfinished, and ended the ring at each start."""
+    bed.pass_time(70)
+    bed.keep()
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "open", _unreadable(PermissionError(errno.EACCES, "Permission denied")))
+        bed.pass_time(31)
+    (stretch,) = bed.stretches
+    found = metadata(stretch)
+    assert found["files"][0]["message_count"] == 0
+    assert found["message_count"] > 0, "of the others"
+    assert bed.codes().count(RingCode.UNREAD) == 1
+    assert RingCode.NOT_KEPT not in bed.codes()
+    bed.end()
+
+
+def test_file_that_is_gone_is_not_in_the_metadata(bed: RingBed, monkeypatch: pytest.MonkeyPatch) -> None:
+    bed.pass_time(70)
+    bed.keep()
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "open", _unreadable(FileNotFoundError(errno.ENOENT, "No such file or directory")))
+        bed.pass_time(31)
+    (stretch,) = bed.stretches
+    found = metadata(stretch)
+    assert f"{stretch.name}_0.mcap" not in found["relative_file_paths"]
+    assert len(found["relative_file_paths"]) == len(found["files"]) > 0
+    assert RingCode.NOT_KEPT not in bed.codes()
+    bed.end()
+
+
+def _unreadable(error: OSError) -> Any:
+    """Return a `Path.open` that does not read the first file of a stretch."""
+    opened = Path.open
+
+    def open_path(path: Path, *arguments: Any, **options: Any) -> Any:
+        if path.name.endswith("_0.mcap") and arguments == ("rb",):
+            raise error
+        return opened(path, *arguments, **options)
+
+    return open_path
+
+
 def _fail(*_: object) -> None:
     raise OSError

@@ -37,3 +37,31 @@ def test_what_newer_ones_replace_is_not_left_out(monkeypatch: pytest.MonkeyPatch
     room = LatchedRoom()
     assert [each.time for each in room.newest(maps(150, 60, 30), publishers(2))] == [2, 3]
     assert not room.left_out
+
+
+class Deep:
+    """A publisher that counts how often it was made anew."""
+
+    kept = 2
+
+    def __init__(self) -> None:
+        self.renewed = 0
+
+    def renew(self) -> None:
+        self.renewed += 1
+
+
+def test_what_was_before_a_seek_makes_room(monkeypatch: pytest.MonkeyPatch) -> None:
+    LATCHED_BYTES.set(monkeypatch, 100)
+    room = LatchedRoom()
+    before: Any = Deep()
+    after: Any = Deep()
+    (first, second, third, fourth) = maps(60, 40, 60, 60)
+    assert room.take(before, first)
+    assert not room.take(after, third), "a late joiner needs what is there"
+    room.seek()
+    assert room.take(after, second), "there is room beside it"
+    assert before.renewed == 0
+    assert room.take(after, third)
+    assert not room.take(before, fourth)
+    assert (before.renewed, after.renewed) == (1, 0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import signal
 import struct
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -12,10 +13,11 @@ from mcap.reader import make_reader
 from tests.support.waiting import eventually, holds
 from tests.support.wording import says
 
-from rsb_extras.playing.played_topics import PlayText
-from rsb_extras.playing.player import clock_message
+from rsb_extras.playing.played_topics import PlayedPublishers, PlayText
+from rsb_extras.playing.player import Player, PlaySpan, clock_message
 from rsb_extras.playing.tests.playing_places import LATCHED_BYTES
 from rsb_extras.playing.tests.recorded import BEGIN, LATCHED, ODD, ODD_HASH, ODD_TYPE, Recorded, odd, string
+from rsb_extras.recording.reading.open_recording import OpenRecording
 
 if TYPE_CHECKING:
     from rsb_extras.playing.tests.conftest import Hearing
@@ -244,6 +246,30 @@ def test_latched_messages_have_a_bound_in_all(
         done = ran(*words(recorded, hearing, *options))
         said = [each for each in ("/a", "/b", "/small") if says(done.err, PlayText.NO_ROOM, topic=each)]
         assert (done.code, "/small" in said, bool(said)) == (1, False, True), done
+
+
+def test_seek_frees_room_of_latched_topics(
+    recorded: Recorded, hearing: Hearing, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What comes after a seek is published, and a late joiner gets no more what was latched before it."""
+    LATCHED_BYTES.set(monkeypatch, 150_000)
+    for topic in ("/map", "/costmap"):
+        recorded.topic(topic, profiles=LATCHED)
+    recorded.add("/costmap", 0.5, string("x" * 100_000))
+    recorded.add("/costmap", 4.0, string("x"))
+    recorded.add("/map", 5.0, string("x" * 100_000))
+    recorded.done()
+    recording = OpenRecording(recorded.path)
+    publishers = PlayedPublishers(hearing.node, recording.channels)
+    span = PlaySpan(BEGIN, BEGIN + 10_000_000_000)
+    player = Player(recording, hearing.node, publishers, span, is_paused=True)
+    pressed = iter(["6", "-10", ".", "end"])  # behind all of them, and before
+    keys: Any = SimpleNamespace(wait=lambda _: ["step" if (key := next(pressed)) == "." else key])
+    player.play(keys, lambda _: None)
+    assert (player.messages, dict(player.room.left_out)) == (3, {})
+    late = {topic: hearing.hear(topic, durability="transient_local", depth=1) for topic in ("/map", "/costmap")}
+    eventually(lambda: late["/costmap"])
+    assert not late["/map"]
 
 
 # --- what cannot be played
