@@ -8,7 +8,8 @@ from typing import Any
 
 from rsb_bridge.model.codes import EventCode
 
-_ADDRESS = re.compile(r" at (\d+\.\d+\.\d+\.\d+|\[[0-9a-f:]+\])(:\d+)?\b")
+_ADDRESS = re.compile(r"( at |: )(\d+\.\d+\.\d+\.\d+|\[[0-9a-f:]+\])(:\d+)?\b")
+"""``: 10.0.0.1:7060 accepts, but does not answer``: of a server that is busy for some seconds."""
 _WARNINGS = frozenset(
     {
         EventCode.LINK_LOST,

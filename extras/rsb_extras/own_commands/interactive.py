@@ -21,16 +21,48 @@ async def run_in_terminal(console: Console, line: str) -> int:
     Raises:
         OSError: it cannot be started.
     """
-    with console.suspend():
+    with _interrupts() as interrupts, console.suspend():
         # In a group of its own: Ctrl+C there is not for the console.
         process = subprocess.Popen(  # noqa: ASYNC220, S603 -- the operator's own line; the console shows nothing meanwhile
             ["/bin/sh", "-c", line], stdin=0, stdout=console.terminal, stderr=console.terminal, process_group=0
         )
+        interrupts.go_to(process.pid)
         try:
             return await asyncio.to_thread(_wait, process, console.terminal)
         except asyncio.CancelledError:  # the console ends
             os.killpg(process.pid, signal.SIGHUP)
             raise
+
+
+class _Interrupts:
+    """SIGINTs of this process. Until a command has the terminal's keys, and once it has ended, Ctrl+C sends them here."""
+
+    def __init__(self) -> None:
+        self._group = 0
+        self._came = False
+
+    def go_to(self, group: int) -> None:
+        """Pass them on to a process group, also one that has come before."""
+        self._group = group
+        if self._came:
+            self.interrupt()
+
+    def interrupt(self, *_: object) -> None:
+        self._came = True
+        if self._group:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(self._group, signal.SIGINT)
+
+
+@contextlib.contextmanager
+def _interrupts() -> Iterator[_Interrupts]:
+    """Pass SIGINT on instead of ending the console."""
+    made = _Interrupts()
+    before = signal.signal(signal.SIGINT, made.interrupt)  # not SIG_IGN, which the command would inherit
+    try:
+        yield made
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _wait(process: subprocess.Popen[bytes], terminal: int) -> int:
