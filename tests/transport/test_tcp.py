@@ -173,6 +173,24 @@ def test_connection_that_comes_as_the_loop_ends_leaves_no_socket() -> None:
     gc.collect()
 
 
+@pytest.mark.parametrize("turns", range(6))
+async def test_connection_that_is_accepted_as_the_listener_closes_is_closed(turns: int) -> None:
+    """Its server has ended the streams that it knows by then, and would hear of this one afterwards."""
+    number, known = free_port(), list[Stream]()
+    handler = StreamHandler()
+    handler.connected = known.append  # type: ignore[method-assign]
+    listener = await Tcp().listen("127.0.0.1", number, Accepting(lambda: handler))
+    with socket.create_connection(("127.0.0.1", number)) as client:
+        for _ in range(turns):
+            await asyncio.sleep(0)
+        listener.close()
+        for each in known:
+            each.abort("the server stops")
+        client.settimeout(20.0)
+        with contextlib.suppress(ConnectionError):
+            assert await asyncio.to_thread(client.recv, 1) == b""
+
+
 async def test_two_that_bind_at_once_cannot_both_listen(monkeypatch: pytest.MonkeyPatch) -> None:
     """The kernel lets both bind the port, and refuses the second one that listens."""
     number = free_port()

@@ -154,7 +154,9 @@ class StreamListener:
             self._loop.add_reader(sock, self._accept, sock)
 
     def close(self) -> None:
-        """Free the port."""
+        """Free the port, and close connections whose stream is not made yet."""
+        for task in self._accepting:
+            task.cancel()
         for timer in self._again.values():
             timer.cancel()
         for sock in self._sockets:
