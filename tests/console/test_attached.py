@@ -196,7 +196,7 @@ def test_attaching_in_a_terminal(pair: Pair, headless: list[Forked], tmp_path: P
         tmux.wait_for("Topics", there=False)
         assert headless[-1].poll() is None
 
-        tmux("send-keys", f"{COMMAND} run {pair.client_path}", "Enter")
+        tmux("send-keys", "C-u", f"{COMMAND} run {pair.client_path}", "Enter")  # a late y may stand in the line
         tmux.agree(SessionQuestion.ALREADY_RUNS(name="robot1"))
         tmux.wait_for("◇ UNHEARD")
 
@@ -211,7 +211,7 @@ def test_attaching_in_a_terminal(pair: Pair, headless: list[Forked], tmp_path: P
         tmux.agree("The bridge robot1 goes on")
         tmux.wait_for("Topics", there=False)
 
-        tmux("send-keys", f"{COMMAND}", "Enter")
+        tmux("send-keys", "C-u", f"{COMMAND}", "Enter")
         tmux.wait_for("●  robot1")
         tmux("send-keys", "Enter")
         tmux.wait_for("◇ UNHEARD")

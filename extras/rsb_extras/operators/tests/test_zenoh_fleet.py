@@ -28,6 +28,7 @@ from rsb_bridge.transport.trials import Trials
 from rsb_extras.operators.tests import operator_places
 from rsb_extras.operators.tests.zenoh_fleet import Fleet, announced
 from rsb_extras.operators.zenoh_fleet import EngineChoice, FleetConnector
+from rsb_extras.zenoh.pipe import PipeProblem
 from rsb_extras.zenoh.sample_header import Header
 from rsb_extras.zenoh.tests import zenoh_places
 from rsb_extras.zenoh.tests.zenoh_attacker import TAG, Attacker
@@ -72,6 +73,19 @@ def seen_with(fleet: Fleet, *names: str) -> ZenohFleet:
     return seen
 
 
+def retry_as(fleet: Fleet, *attached: Any) -> None:
+    """Attach to an engine and have it retry; again if a busy router has lost a sample, as an operator would."""
+    deadline = time.monotonic() + 120
+    while True:
+        try:
+            fleet.attach(*attached).retry().result(60)
+        except ControlError as error:
+            if PipeProblem.SAMPLE_LOST() not in str(error) or time.monotonic() > deadline:
+                raise
+        else:
+            return
+
+
 def test_durations_are_by_engines_own_clock(fleet: Fleet) -> None:
     fleet.add("robot1")
     own = decode(SummaryBuilder(fleet.engines["robot1"], "0.1.0")())
@@ -89,13 +103,13 @@ def test_durations_are_by_engines_own_clock(fleet: Fleet) -> None:
 
 def test_operator_attaches_by_name_within_rights(fleet: Fleet) -> None:
     seen = seen_with(fleet, "robot1", "robot2")
-    fleet.attach("robot2").retry().result(60)
+    retry_as(fleet, "robot2")
     came = [each for each in fleet.accesses["robot2"].events.after(0) if each.code == EventCode.ATTACH_OPERATOR]
     assert "through Zenoh (id " in came[-1].text
-    assert fleet.engines["robot2"].commands == [("retry", "")]
+    assert set(fleet.engines["robot2"].commands) == {("retry", "")}
     assert fleet.engines["robot1"].commands == []
     with pytest.raises(EngineError, match=pattern(OperatorRefused.READ_ONLY, name="bob")):
-        fleet.attach("robot2", "bob", BOB).retry().result(60)
+        retry_as(fleet, "robot2", "bob", BOB)
     through = seen.open("robot1", read_only=True)
     through.stop()
     assert (through.bridge.name, through.read_only) == ("robot1", True)
