@@ -35,7 +35,7 @@ async def run_in_terminal(console: Console, line: str) -> int:
 
 
 class _Interrupts:
-    """SIGINTs of this process, which gets those of Ctrl+C until a command has the terminal's keys, and after its end."""
+    """SIGINTs of this process: Ctrl+C is one until a command has the terminal's keys, and after its end."""
 
     def __init__(self) -> None:
         self._group = 0
