@@ -60,7 +60,8 @@ class Turns:
 
 
 def _topic(name: str) -> Topic:
-    express = {"express": True} if name.endswith(EXPRESS) and "express" in Topic.__struct_fields__ else {}
+    is_express = name.endswith(EXPRESS) and "express" in Topic.__struct_fields__
+    express: dict[str, Any] = {"express": True} if is_express else {}
     return Topic(name.removesuffix(EXPRESS), "transmit", type="std_msgs/msg/String", **express)
 
 

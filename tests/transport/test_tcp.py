@@ -177,9 +177,12 @@ def test_connection_that_comes_as_the_loop_ends_leaves_no_socket() -> None:
 async def test_connection_that_is_accepted_as_the_listener_closes_is_closed(turns: int) -> None:
     """Its server has ended the streams that it knows by then, and would hear of this one afterwards."""
     number, known = free_port(), list[Stream]()
-    handler = StreamHandler()
-    handler.connected = known.append  # type: ignore[method-assign]
-    listener = await Tcp().listen("127.0.0.1", number, Accepting(lambda: handler))
+
+    class Known(StreamHandler):
+        def connected(self, stream: Stream) -> None:
+            known.append(stream)
+
+    listener = await Tcp().listen("127.0.0.1", number, Accepting(Known))
     with socket.create_connection(("127.0.0.1", number)) as client:
         for _ in range(turns):
             await asyncio.sleep(0)
