@@ -182,7 +182,7 @@ class PictureTile(Tile):
         """Draw the picture in sight once more, as the operator or the terminal has changed something."""
         if self._look.is_image(self.content):
             # Not exclusive: a held key would end each drawing before it is in sight.
-            self.run_worker(self._show_content(), group="image")
+            self.run_worker(self._show_content, group="image")
         else:
             self._draw()
 
