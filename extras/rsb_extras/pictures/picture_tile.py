@@ -7,7 +7,7 @@ import textwrap
 import time
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import msgspec
 from textual import work
@@ -36,7 +36,7 @@ from rsb_extras.pictures.tile import FRAME, Tile, joined
 from rsb_extras.pictures.wish_keys import CHANGES
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from rsb_console.feature_console import Console
     from rsb_extras.pictures.graphics import Extent
@@ -182,7 +182,8 @@ class PictureTile(Tile):
         """Draw the picture in sight once more, as the operator or the terminal has changed something."""
         if self._look.is_image(self.content):
             # Not exclusive: a held key would end each drawing before it is in sight.
-            self.run_worker(self._show_content, group="image")
+            show: Callable[[], Any] = self._show_content
+            self.run_worker(show, group="image")
         else:
             self._draw()
 
