@@ -155,6 +155,7 @@ class Pace:
             self._judge_together()
         else:
             self._together.clear()
+            self._resume = 0  # a size of before the line became steady, which it may not carry now
             self._resize(over - min(self._varies, _VARIES_MOST), _GROWS)
 
     def _judge_together(self) -> None:

@@ -50,7 +50,7 @@ class _Interrupts:
     def interrupt(self, *_: object) -> None:
         self._came = True
         if self._group:
-            with contextlib.suppress(ProcessLookupError):
+            with contextlib.suppress(OSError):  # it has ended, or is root's by now, as with sudo
                 os.killpg(self._group, signal.SIGINT)
 
 

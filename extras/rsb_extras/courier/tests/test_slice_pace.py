@@ -65,11 +65,12 @@ def test_topic_beside_a_fetch_on_the_tunnel(bags: Path) -> None:
     assert beside.fetched > 1_900
 
 
-def crossing(seconds: float, there: float, jitter: float, *rates: float) -> list[int]:
+def crossing(seconds: float, there: float, jitter: float, *rates: float, calm: int = 99) -> list[int]:
     """Return the sizes of slices beside topics on a line that is `there` to `there` + `jitter` s long.
 
     Args:
         rates: bytes/s, for so many seconds each.
+        calm: rates before the jitter ends.
     """
     pace = Pace()
     random, come, sizes = Random(1), deque[float](), list[int]()
@@ -78,7 +79,7 @@ def crossing(seconds: float, there: float, jitter: float, *rates: float) -> list
     while now < seconds * len(rates):
         while pace.is_open:
             line = max(line, now) + pace.size / rates[int(now / seconds)]
-            last = max(line + there + random.uniform(0.0, jitter), last)
+            last = max(line + there + random.uniform(0.0, jitter if now / seconds < calm else 0.01), last)
             sizes.append(pace.size)
             pace.sent(now)
             come.append(last)
@@ -116,6 +117,12 @@ def test_line_that_gets_thin_under_jitter() -> None:
     sizes = crossing(120.0, 0.05, 0.2, 2.5e6, 125e3)
     assert sum(1 for size in sizes if size > 30_000) > 20, "they were large"
     assert max(sizes[-20:]) < 16 << 10
+
+
+def test_line_that_gets_steady_and_then_thin() -> None:
+    """The size of before the jitter ended was kept for later, so that slices below 2 KiB were never tried again."""
+    sizes = crossing(140.0, 0.05, 0.2, 2.5e6, 2.5e6, *[5_000.0] * 4, calm=1)
+    assert max(sizes[-100:]) < 1 << 10
 
 
 def test_topic_beside_a_fetch_on_a_line_with_jitter(bags: Path) -> None:
