@@ -127,6 +127,7 @@ class RecordingsScreen(SidesScreen["RecordingGroup"]):
         self.detail = ScrolledLines(id="recordings-detail")
         self._here: Sequence[RecordingGroup] = ()
         self._there: Sequence[RecordingGroup] = ()
+        self._here_came = self._there_came = False
         self._fetches: tuple[FetchReport, ...] = ()
 
     def compose(self) -> ComposeResult:
@@ -150,14 +151,18 @@ class RecordingsScreen(SidesScreen["RecordingGroup"]):
         """List this side's recordings at once: the other side's answer may take long, or never come."""
         if (engine := self.console.engine) is None:
             return
-        with suppress(EngineError):  # the list of both sides says why
+        with suppress(EngineError):
             self._here = await asyncio.wrap_future(engine.do(ListRecordings(here=True)))
             self._show_rows()
+        self._here_came = True
+        if self._there_came:
+            self.show(self._there)
 
     def show(self, groups: Sequence[RecordingGroup]) -> None:
-        self._there = groups
+        self._there, self._there_came = groups, True
         self._show_rows()
-        self.show_problems(groups, CourierCommandText.NONE(), is_empty=self.table.selected is None)
+        is_empty = self._here_came and self.table.selected is None
+        self.show_problems(groups, CourierCommandText.NONE(), is_empty=is_empty)
 
     def _show_rows(self) -> None:
         role = self.console.snapshot().role
