@@ -29,7 +29,6 @@ from rsb_extras.courier.live_parts import LIVE, keep_parts
 from rsb_extras.courier.message_index import MOST_MESSAGES, MessageIndex, TooManyMessagesError
 from rsb_extras.courier.pieces import PieceError, PieceProblem
 from rsb_extras.recording.mcap_file import new_recording
-from rsb_extras.recording.reading.mcap_records import HEAD, MCAP_MAGIC
 from rsb_extras.recording.reading.open_recording import OpenRecording
 from rsb_extras.recording.reading.stored_message import DamageError, RecordingError
 
@@ -48,7 +47,6 @@ METADATA = "rsb_completed"
 """The name of the metadata record of the file, whose `json` is a `CompletedRecording`, before the messages."""
 METADATA_WITHIN = 4 << 20
 """Bytes of a file that have it. A round figure: a `CompletedRecording` of 256 topics with long names has 0.5 MB."""
-_HEADER, _METADATA = 1, 12  # opcodes of MCAP's records
 _HEADS, _INDEX, _UNSORTED = "heads", "messages.db", "unsorted.mcap"
 _HEADS_SHARE = 0.1
 """Of what a fetch shows of its progress, for the heads. A round figure."""
@@ -301,17 +299,13 @@ def completed_in(head: bytes) -> CompletedRecording | None:
     Args:
         head: the first `METADATA_WITHIN` bytes of the file, which may be anybody's.
     """
-    from mcap.data_stream import ReadDataStream  # noqa: PLC0415 -- bridges that record nothing do without
-    from mcap.records import Metadata  # noqa: PLC0415
+    from mcap.records import Header, Metadata  # noqa: PLC0415 -- bridges that record nothing do without
+    from mcap.stream_reader import StreamReader  # noqa: PLC0415
 
-    at = len(MCAP_MAGIC)
     with contextlib.suppress(Exception):
-        while head.startswith(MCAP_MAGIC):
-            kind, length = HEAD.unpack_from(head, at)
-            at += HEAD.size
-            record, at = head[at : at + length], at + length
-            if kind == _METADATA and (found := Metadata.read(ReadDataStream(BytesIO(record)))).name == METADATA:
-                return msgspec.json.decode(found.metadata["json"], type=CompletedRecording)
-            if kind not in (_HEADER, _METADATA):
+        for record in StreamReader(BytesIO(head), emit_chunks=True).records:
+            if isinstance(record, Metadata) and record.name == METADATA:
+                return msgspec.json.decode(record.metadata["json"], type=CompletedRecording)
+            if not isinstance(record, Header | Metadata):
                 break
     return None
