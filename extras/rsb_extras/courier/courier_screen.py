@@ -153,16 +153,19 @@ class RecordingsScreen(SidesScreen["RecordingGroup"]):
             return
         with suppress(EngineError):
             self._here = await asyncio.wrap_future(engine.do(ListRecordings(here=True)))
-            self._show_rows()
         self._here_came = True
-        if self._there_came:
-            self.show(self._there)
+        self._show_lists()
 
     def show(self, groups: Sequence[RecordingGroup]) -> None:
         self._there, self._there_came = groups, True
+        self._show_lists()
+
+    def _show_lists(self) -> None:
+        """Show what has come; that there is nothing is known once both lists have."""
         self._show_rows()
-        is_empty = self._here_came and self.table.selected is None
-        self.show_problems(groups, CourierCommandText.NONE(), is_empty=is_empty)
+        if self._there_came:
+            is_empty = self._here_came and self.table.selected is None
+            self.show_problems(self._there, CourierCommandText.NONE(), is_empty=is_empty)
 
     def _show_rows(self) -> None:
         role = self.console.snapshot().role

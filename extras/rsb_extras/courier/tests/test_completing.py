@@ -136,11 +136,11 @@ def test_the_file_tells_what_is_missing_after_a_restart(bridge: Bridge, bags: Pa
 @pytest.mark.parametrize("change", [lambda head: head[:60], lambda head: head])
 def test_a_file_that_says_anything_completes_nothing(change: Callable[[bytes], bytes], tmp_path: Path) -> None:
     path = tmp_path / "any.mcap"
-    text = msgspec.json.encode(CompletedRecording(CompletedClock(ClockSource.NONE), (CompletedTopic("/a", "/b", 3),)))
+    text = msgspec.json.encode(CompletedRecording(CompletedClock(ClockSource.NONE), (CompletedTopic("/a", "/b", 300),)))
     with new_recording(path, metadata={METADATA: {"json": text.decode()}}):
         pass
     assert completed_in(path.read_bytes()) is not None
-    assert completed_in(change(path.read_bytes().replace(b'"live":3', b'"live":"3"'))) is None
+    assert completed_in(change(path.read_bytes().replace(b'"live":300', b'"live":"3"'))) is None
 
 
 def test_nothing_is_fetched_that_came(bridge: Bridge, bags: Path) -> None:
