@@ -262,20 +262,25 @@ def test_power_cut_while_a_stretch_gets_its_name(bed: RingBed, monkeypatch: pyte
     after.end()
 
 
-def test_a_passing_error_makes_no_empty_stretch(bed: RingBed, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its metadata would say 0 messages for ever: the next process finishes it."""
+def keep_unreadable(bed: RingBed, monkeypatch: pytest.MonkeyPatch, error: OSError, ends: str) -> None:
+    """Keep a stretch of which no file whose name ends so can be read."""
     bed.pass_time(70)
     bed.keep()
     opened = Path.open
 
-    def no_descriptors(path: Path, *arguments: Any, **options: Any) -> Any:
-        if path.suffix == ".mcap" and arguments == ("rb",):
-            raise OSError(errno.EMFILE, "too many open files")
+    def open_path(path: Path, *arguments: Any, **options: Any) -> Any:
+        if path.name.endswith(ends) and arguments == ("rb",):
+            raise error
         return opened(path, *arguments, **options)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Path, "open", no_descriptors)
+        patch.setattr(Path, "open", open_path)
         bed.pass_time(31)
+
+
+def test_a_passing_error_makes_no_empty_stretch(bed: RingBed, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its metadata would say 0 messages for ever: the next process finishes it."""
+    keep_unreadable(bed, monkeypatch, OSError(errno.EMFILE, "too many open files"), ".mcap")
     assert RingCode.NOT_KEPT in bed.codes()
     bed.close()
     after = RingBed(bed.state, now=1200.0)
@@ -285,11 +290,7 @@ def test_a_passing_error_makes_no_empty_stretch(bed: RingBed, monkeypatch: pytes
 
 def test_file_that_may_not_be_read_is_told_once(bed: RingBed, monkeypatch: pytest.MonkeyPatch) -> None:
     """The stretch is whole without it: it was left unfinished, and ended the ring at each start."""
-    bed.pass_time(70)
-    bed.keep()
-    with monkeypatch.context() as patch:
-        patch.setattr(Path, "open", _unreadable(PermissionError(errno.EACCES, "Permission denied")))
-        bed.pass_time(31)
+    keep_unreadable(bed, monkeypatch, PermissionError(errno.EACCES, "Permission denied"), "_0.mcap")
     (stretch,) = bed.stretches
     found = metadata(stretch)
     assert found["files"][0]["message_count"] == 0
@@ -300,29 +301,13 @@ def test_file_that_may_not_be_read_is_told_once(bed: RingBed, monkeypatch: pytes
 
 
 def test_file_that_is_gone_is_not_in_the_metadata(bed: RingBed, monkeypatch: pytest.MonkeyPatch) -> None:
-    bed.pass_time(70)
-    bed.keep()
-    with monkeypatch.context() as patch:
-        patch.setattr(Path, "open", _unreadable(FileNotFoundError(errno.ENOENT, "No such file or directory")))
-        bed.pass_time(31)
+    keep_unreadable(bed, monkeypatch, FileNotFoundError(errno.ENOENT, "No such file or directory"), "_0.mcap")
     (stretch,) = bed.stretches
     found = metadata(stretch)
     assert f"{stretch.name}_0.mcap" not in found["relative_file_paths"]
     assert len(found["relative_file_paths"]) == len(found["files"]) > 0
     assert RingCode.NOT_KEPT not in bed.codes()
     bed.end()
-
-
-def _unreadable(error: OSError) -> Any:
-    """Return a `Path.open` that does not read the first file of a stretch."""
-    opened = Path.open
-
-    def open_path(path: Path, *arguments: Any, **options: Any) -> Any:
-        if path.name.endswith("_0.mcap") and arguments == ("rb",):
-            raise error
-        return opened(path, *arguments, **options)
-
-    return open_path
 
 
 def _fail(*_: object) -> None:
