@@ -10,9 +10,9 @@ import msgspec
 from rsb_bridge.feature_api import Wording
 from rsb_extras.pictures.blocks import image_rows, wished_pixels
 from rsb_extras.pictures.cell_image import fine_for, image_of, is_drawn, styles_in
-from rsb_extras.pictures.graphics import USUAL_CELL, protocol_of
+from rsb_extras.pictures.graphics import USUAL_CELL, frame_of, protocol_of
 from rsb_extras.pictures.picture import Cells, Pixels, sized
-from rsb_extras.pictures.picture_rows import UnreadableError, has_pillow
+from rsb_extras.pictures.picture_rows import UnreadableError, has_pillow, rgb_of
 
 if TYPE_CHECKING:
     from rsb_extras.pictures.cell_image import Marked
@@ -91,10 +91,11 @@ class ImageStyle:
         """Return a picture as an image; one of a map or a plot has an operator's sign or the cursor on it.
 
         Raises:
-            UnreadableError: the other side has sent a map for pixels unasked, and Pillow is missing.
+            UnreadableError: the other side's image is damaged, or it has sent a map for pixels unasked, and Pillow is
+                missing.
         """
         if isinstance(content, Pixels):
-            return content
+            return await asyncio.to_thread(_coarsened, content, wish) if self.strain else content
         if not has_pillow():
             raise UnreadableError(StyleText.NO_PILLOW())
         inks, size = self._pane.inks(styles_in(content), self._cell), (wish.width, wish.height)
@@ -124,3 +125,20 @@ class ImageStyle:
             return StyleText.ASCII()
         few = terminal.facts.colours <= 16 and not self._pane.app.no_color
         return StyleText.FEW_COLOURS(colours=terminal.facts.colours or "no") if few else terminal.facts.line()
+
+
+def _coarsened(image: Pixels, wish: Wish) -> Pixels:
+    """Return an image that was made for a finer wish with as few pixels as this one asks for; on a thread.
+
+    Raises:
+        UnreadableError: the other side's image is damaged.
+    """
+    factor = round(image.width / (frame_of(image, wish).width * wish.across))
+    if factor < 2 or not has_pillow():
+        return image
+    from PIL import Image  # noqa: PLC0415 -- optional
+
+    few = Image.frombytes("RGB", (image.width, image.height), rgb_of(image)).reduce(factor)
+    # The last pixels may stand for less than the others.
+    shape = image.shape * (image.height / few.height) / (image.width / few.width)
+    return Pixels(few.width, few.height, few.tobytes(), shape=shape)

@@ -124,15 +124,7 @@ class PicturePane(Widget, can_focus=True):
         Raises:
             UnreadableError: the other side's image is damaged.
         """
-        facts = self.terminal.facts
-        painter = self._painter = self._painter or Painter(facts.pixels)
-        cell, paper, before = facts.cell or USUAL_CELL, self._paper.background, self._bands
-        frame, first_id = frame_of(image, wish), painter.first_id
-        make = partial(bands_of, image, frame, cell, facts.pixels, first_id, paper, before, few_colours=few_colours)
-        bands = await asyncio.to_thread(make)
-        covered = self._rows_under_boxes(frame)
-        lacking = (each for each in painter.lacking(bands) if not each.is_under(covered))
-        self.image_bytes = sum(len(each.sequence) for each in lacking)
+        bands, frame, covered = await self._measured(image, wish, few_colours=few_colours)
         self.is_left_out = self.image_bytes > _IMAGE_WITHIN * self.terminal.writer.line.rate
         if self.is_left_out:
             return
@@ -143,6 +135,29 @@ class PicturePane(Widget, can_focus=True):
         # Characters below pixels would be sent for nothing, and sixels once more, as they go with characters on them.
         self._show_rows([row if y in hidden else () for y, row in enumerate(rows)])
         self.call_after_refresh(self._paint)
+
+    async def measure(self, image: Pixels, wish: Wish) -> None:
+        """Measure the bytes of an image that is shown in characters, as if it were in pixels of few colours.
+
+        Raises:
+            UnreadableError: the other side's image is damaged.
+        """
+        await self._measured(image, wish, few_colours=True)
+
+    async def _measured(
+        self, image: Pixels, wish: Wish, *, few_colours: bool
+    ) -> tuple[list[Band], Extent, frozenset[int]]:
+        """Return an image's bands, its place, and its rows under boxes."""
+        facts = self.terminal.facts
+        painter = self._painter = self._painter or Painter(facts.pixels)
+        cell, paper, before = facts.cell or USUAL_CELL, self._paper.background, self._bands
+        frame, first_id = frame_of(image, wish), painter.first_id
+        make = partial(bands_of, image, frame, cell, facts.pixels, first_id, paper, before, few_colours=few_colours)
+        bands = await asyncio.to_thread(make)
+        covered = self._rows_under_boxes(frame)
+        lacking = (each for each in painter.lacking(bands) if not each.is_under(covered))
+        self.image_bytes = sum(len(each.sequence) for each in lacking)
+        return bands, frame, covered
 
     def _suit_terminal(self, facts: TerminalFacts) -> None:
         """Forget the image if the terminal is another one, which has none of it."""
@@ -165,9 +180,9 @@ class PicturePane(Widget, can_focus=True):
             return
         if not self.terminal.writer.is_free:
             return  # it is called again in a moment
-        before, self._under_boxes = self._under_boxes, self._rows_under_boxes(self._frame)
+        under_boxes = self._rows_under_boxes(self._frame)
         # Where a box has gone, `show_image` first looks whether the line can take what was under it.
-        self._covered |= self._under_boxes
+        self._covered |= under_boxes
         if self._losses != self.terminal.losses:
             self._losses = self.terminal.losses
             self._painter.lost()
@@ -178,8 +193,9 @@ class PicturePane(Widget, can_focus=True):
         sequence = self._painter.painted(self._bands, (at.x, at.y), self._covered)
         self.terminal.write_to_terminal(sequence)
         self._owes = False
-        if self._under_boxes != before:
-            self.cover_changed()
+        if under_boxes != self._under_boxes:
+            self._under_boxes = under_boxes
+            self.show_again()
 
     def _drawn_over(self, spans: Sequence[tuple[int, int, int]]) -> None:
         """Send the image again where text was drawn: for a box on the screen, Textual often draws all that is below."""
@@ -209,7 +225,7 @@ class PicturePane(Widget, can_focus=True):
         for region in regions:
             self.terminal.writer.forget(region)
 
-    def cover_changed(self) -> object:
+    def show_again(self) -> object:
         """Called when other rows of an image are covered: it is to be shown again, with characters there."""
 
     def _rows_under_boxes(self, frame: Extent) -> frozenset[int]:

@@ -7,7 +7,7 @@ import textwrap
 import time
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import msgspec
 from textual import work
@@ -36,7 +36,7 @@ from rsb_extras.pictures.tile import FRAME, Tile, joined
 from rsb_extras.pictures.wish_keys import CHANGES
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Iterable, Sequence
 
     from rsb_console.feature_console import Console
     from rsb_extras.pictures.graphics import Extent
@@ -181,11 +181,14 @@ class PictureTile(Tile):
     def _redraw(self) -> None:
         """Draw the picture in sight once more, as the operator or the terminal has changed something."""
         if self._look.is_image(self.content):
-            # Not exclusive: a held key would end each drawing before it is in sight.
-            show: Callable[[], Any] = self._show_content
-            self.run_worker(show, group="image")
+            self.show_again()
         else:
             self._draw()
+
+    # Not exclusive: a held key would end each drawing before it is in sight.
+    @work(group="image")
+    async def show_again(self) -> None:
+        await self._show_content()
 
     # -- pictures -----------------------------------------------------------------------------------------------------
 
@@ -241,29 +244,32 @@ class PictureTile(Tile):
         async with self._showing:
             if self._drawn >= number:  # one drawing has all that changed during the one before
                 return
-            self._drawn = self._changes
-            content, wish, self._unreadable = self.content, self._wish, ""
+            self._drawn, self._unreadable = self._changes, ""
+            content = self.content
             if content is not None and self._look.is_image(content):
                 try:
-                    mark = self._goal.mark(self._scale)
-                    self._image = await self._look.image(content, wish, cursor=self._cursor, mark=mark)
-                    blocks = partial(self._look.in_blocks, self._image, wish)
-                    if self._look.shows_pixels:
-                        await self.show_image(self._image, wish, blocks, few_colours=self._look.strain > 0)
-                    else:
-                        self._blocks = await asyncio.to_thread(blocks)
-                    self._seen = _seen_map(content, frame_of(self._image, wish))
+                    await self._show_image_of(content)
+                    while self.is_left_out and self._look.spare():
+                        self._take(self._look.fitted(self._wish))
+                        await self._show_image_of(content)  # of a picture that is held, no coarser one comes
                 except UnreadableError as error:
                     self._unreadable, self._blocks = str(error), []
                 except Exception as error:  # noqa: BLE001 -- a stranger's picture must not end the console
                     self._unreadable, self._blocks = ViewText.NOT_DRAWN(error=error), []
             self._draw()
 
-    @work(group="image")
-    async def cover_changed(self) -> None:
-        await self._show_content()
-        if self.is_left_out and self._look.spare():
-            self._take(self._look.fitted(self._wish))
+    async def _show_image_of(self, content: Cells | Pixels | Series) -> None:
+        wish = self._wish
+        mark = self._goal.mark(self._scale)
+        self._image = await self._look.image(content, wish, cursor=self._cursor, mark=mark)
+        blocks = partial(self._look.in_blocks, self._image, wish)
+        if self._look.shows_pixels:
+            await self.show_image(self._image, wish, blocks, few_colours=self._look.strain > 0)
+        else:
+            self._blocks = await asyncio.to_thread(blocks)
+            if self._look.strain:
+                await self.measure(self._image, wish)
+        self._seen = _seen_map(content, frame_of(self._image, wish))
 
     def _draw(self) -> None:
         if not self.is_attached:

@@ -250,6 +250,24 @@ async def test_box_on_image_hides_its_bands(app: ConsoleApp, pilot: Pilot[None],
 
 @PROTOCOLS
 @on_list
+async def test_box_on_held_image_hides_its_bands(app: ConsoleApp, pilot: Pilot[None], protocol: str) -> None:
+    """No picture comes that would be drawn around the box."""
+    written = await in_pixels(pilot, protocol)
+    await comes(pilot, viewed(halves(640, 480, 255)))
+    await until(pilot, lambda: len(written.tops()) == bands(app), "the image")
+    await pilot.press("space")
+    image = image_region(app)
+    high = math.ceil(image.height / BANDS)
+    await app.push_screen(Box(Region(image.x + 9, image.y + high, 9, 1)))
+    await until(pilot, lambda: {*edges(app)} == {*range(high, 2 * high)}, "characters around the box")
+    before = len(written.text)
+    await app.pop_screen()
+    await until(pilot, lambda: not edges(app), "no characters")
+    await until(pilot, lambda: image.y + high in written.tops(before), "the band in pixels")
+
+
+@PROTOCOLS
+@on_list
 async def test_message_beside_image_hides_nothing(app: ConsoleApp, pilot: Pilot[None], protocol: str) -> None:
     written = await in_pixels(pilot, protocol)
     app.notify("a message", timeout=600)
@@ -356,28 +374,30 @@ async def test_proportions_hold_while_line_is_slow(
     assert (min(densities) < (7, 15)) is not covered
 
 
+@pytest.mark.parametrize("held", [False, True])
 @on_list
 async def test_uncovered_image_is_measured_first(
-    app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
+    app: ConsoleApp, pilot: Pilot[None], held: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """On a slow line, what stood under a box is asked for with fewer pixels instead of sent at once."""
+    """On a slow line, what stood under a box comes back with fewer pixels, even if the other side sends no others."""
     written = await in_pixels(pilot, "kitty", (7.0, 15.0), "kitty")
-    line = TerminalLine(rate=25_000.0)
+    line = TerminalLine(rate=40_000.0)
     replaced.NO_LINE.set(monkeypatch, line)
     wish = looks(engine_of(app))[-1][1]
     await app.push_screen(Box(Region(0, 0, *app.size)))
     wish = await comes(pilot, viewed(camera(wish, noise(640, 480))))
     await until(pilot, lambda: any(row.strip() for row in drawn(app)), "characters")
     assert not written.shown()
+    if held:
+        await pane_of(app).run_action("hold")
     await app.pop_screen()
-    await until(pilot, lambda: looks(engine_of(app))[-1][1].across < wish.across, "a wish for fewer pixels")
-    assert not written.shown()
-    assert any(row.strip() for row in drawn(app)), "characters are left in sight"
-    for seed in range(2, 9):
-        wish = await comes(pilot, viewed(camera(wish, noise(640, 480, seed))))
-        if written.shown():
-            break
-    assert 0 < len(written.text) <= 2.0 * line.rate
+    await until(pilot, lambda: len(written.shown()) == bands(app), "pixels")
+    assert len(written.text) <= 2.0 * line.rate
+    places = written.shown().values()
+    wide, high = {width for _, _, width, _ in places}.pop(), sum(height for *_, height in places)
+    assert wide * 7 / (high * 15) == pytest.approx(4 / 3, rel=0.05)
+    if not held:
+        await until(pilot, lambda: looks(engine_of(app))[-1][1].across < wish.across, "a wish for fewer pixels")
 
 
 def camera(wish: Wish, seen: Pixels) -> Pixels:
@@ -529,16 +549,14 @@ def title(app: ConsoleApp) -> str:
 async def test_image_that_would_fill_the_line_is_not_sent(
     app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A coarser one is asked for instead. Until one comes, no picture is in sight by which to drive."""
-    replaced.NO_LINE.set(monkeypatch, TerminalLine(rate=2_000.0))
+    """It is shown in characters, until there is one that is small."""
+    replaced.NO_LINE.set(monkeypatch, TerminalLine(rate=20_000.0))
     written = await in_pixels(pilot)
     asked = looks(engine_of(app))[-1][1]
     wish = await comes(pilot, viewed(full_of(asked)))
     assert (wish.across, wish.down) < (asked.across, asked.down)
+    await until(pilot, lambda: any(row.strip() for row in drawn(app)), "characters")
     assert not written.shown()
-    sight = pane_of(app).sight()
-    assert sight is not None
-    assert sight.age is None
     await comes(pilot, viewed(halves(8, 6, 255)))
     await until(pilot, lambda: len(written.shown()) == bands(app), "a small image")
     await until(pilot, lambda: (seen := pane_of(app).sight()) is not None and seen.age is not None, "its age")
