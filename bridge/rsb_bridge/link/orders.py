@@ -42,7 +42,7 @@ TICKET_LIFE = 5.0
 _MOST_TICKETS = 4
 """Tickets that a peer may have at a time: one for each operator who asks just now."""
 ASKED, ASKED_WITHIN = 12, 60.0
-"""Orders of a peer that are judged in so many s, refused ones too: each is logged. A round figure."""
+"""Orders of a peer that are judged at once, and then in so many s, refused ones too: each is logged. Round figures."""
 _REMEMBERED = 8
 """Orders of a peer whose ends are remembered for its next association."""
 
@@ -59,7 +59,7 @@ class OrderProblem(Wording):
     TWICE = "{link} gave the same ticket twice, and nothing was done: ask again in some seconds"
     TOO_LATE = "the request came too late, and nothing was done: ask again"
     FORGOTTEN = "the bridge there knows nothing of it any more: look at the state there before you ask again"
-    TOO_OFTEN = "{most} requests came within {seconds:g} s: wait"
+    TOO_OFTEN = "too many requests came: one more is taken each {seconds:g} s"
 
 
 class Asker(NamedTuple):
@@ -176,7 +176,7 @@ class OrderExtension(Extension, Generic[AnswerT, OrderT, OutcomeT]):
         now = self._link.context.now()
         if association is not self._link.association or now >= until:
             return (OrderProblem.FORGOTTEN if order.again else OrderProblem.TOO_LATE)()
-        return "" if self._allowance.take(1, now) else OrderProblem.TOO_OFTEN(most=ASKED, seconds=ASKED_WITHIN)
+        return "" if self._allowance.take(1, now) else OrderProblem.TOO_OFTEN(seconds=ASKED_WITHIN / ASKED)
 
     def _begin(self, order: OrderT) -> asyncio.Task[OutcomeT]:
         asker = Asker(f"{self._link.peer_name}, which says: {order.who or 'an operator'}", self._link)

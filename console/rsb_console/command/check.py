@@ -232,9 +232,14 @@ def _route(topic: Topic, session: Session, profile: LinkProfile) -> str:
     if topic.kind == "topic":
         what = f"{topic.direction} {'each that matches ' if topic.is_pattern else ''}{topic.topic}"
     else:
-        noun = f"each {topic.kind} that matches" if topic.is_pattern else NOUNS[LISTS[topic.kind]]
-        what = f"{noun} {topic.topic}, provided by the {topic.provider},"
+        what = f"{_noun(topic)} {topic.topic}, provided by the {topic.provider},"
     return f"{what} over {transport.name}: {', '.join(details)}"
+
+
+def _noun(topic: Topic) -> str:
+    if not topic.is_pattern:
+        return NOUNS[LISTS[topic.kind]]
+    return f"each {topic.kind} that matches" if topic.kind != "parameters" else "parameters of each node that matches"
 
 
 def _details(topic: Topic, compression: Compression) -> Iterator[str]:
