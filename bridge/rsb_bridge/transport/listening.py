@@ -195,7 +195,7 @@ class StreamListener:
 
     def _served(self, accepted: socket.socket, task: asyncio.Task[None]) -> None:
         self._accepting.discard(task)
-        if task.cancelled():  # the loop ends, perhaps before the task has begun
+        if task.cancelled():  # the listener or the loop ends, perhaps before the task has begun
             accepted.close()
 
 
