@@ -34,8 +34,8 @@ def nodes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Nodes]:
 def check(found: Findings) -> None:
     """Messages have crossed, and none that should not have."""
     assert found.crossed
-    assert found.wrong == found.in_dds, found
-    assert found.in_dds <= 1, found
+    assert found.wrong == found.in_hand, found
+    assert found.in_hand <= 1, found
     assert not [each for each in found.notes if each.startswith(attacks.NOT_AGAIN)], found
 
 
@@ -101,3 +101,19 @@ def test_the_judge_is_not_blind() -> None:
     assert judged(29.9, 30.1) == (0, 0, 1)
     assert judged(30.1, 40.0) == (1, 0, 0)
     assert judged(30.1, 30.9) == (0, 0, 0)
+
+
+def test_the_judge_excuses_what_was_in_hand() -> None:
+    """As the bridge froze from 12 to 14.5 s; what came while it was frozen has no such excuse."""
+
+    def in_hand(published: float, arrived: float, bridged: float) -> tuple[int, int]:
+        arrivals = [Arrival(WITNESS, 1, arrived, arrived, arrived), Arrival(TOPIC, 1, published, arrived, bridged)]
+        found = judge(arrivals, [Window(10.0)], frozen=[(12.0, 14.5)])
+        return found.wrong, found.in_hand
+
+    assert in_hand(11.99, 14.51, 14.51) == (1, 1)  # it was stamped by DDS after the freeze
+    assert in_hand(11.99, 14.51, 12.0) == (1, 1)  # and before
+    assert in_hand(12.5, 14.51, 14.51) == (1, 0)
+    assert in_hand(10.9, 14.51, 14.51) == (1, 0)
+    assert in_hand(13.4, 14.51, 14.51) == (1, 0)
+    assert in_hand(13.6, 14.51, 14.51) == (0, 0)

@@ -73,8 +73,8 @@ def _case(name: str, transport: str, run: Callable[[], Findings]) -> int:
         print(f"{name:22}{transport:18}not done: {error}", flush=True)  # noqa: T201
         return 1
     figures = (found.crossed, found.old, found.after, found.unarmed, f"{found.oldest:.2f}", f"{found.tolerance:.2f}")
-    in_dds = [f"{found.in_dds} of these were given to DDS in time"] if found.in_dds else []
-    _print(name, transport, *figures, "; ".join(in_dds + found.notes))
+    in_hand = [f"{found.in_hand} of these were in the bridge's hand in time"] if found.in_hand else []
+    _print(name, transport, *figures, "; ".join(in_hand + found.notes))
     return found.wrong
 
 

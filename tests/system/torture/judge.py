@@ -54,8 +54,8 @@ class Findings:
         after: how many arrived after a side had said that the topic is disarmed.
         unarmed: how many were published while nobody had armed the topic.
         wrong: how many were any of this.
-        in_dds: of these, how many the bridge had given to DDS in time, as far as its clock is true. A process that is
-            frozen while DDS sends a message sends it later, and no program can help that.
+        in_hand: of these, how many the bridge had looked at for the last time, or given to DDS, in time, as far as its
+            clock is true. A process that is frozen just then publishes the message later, and no program can help that.
         tolerance: s that the harness itself may be off.
         notes: what else there is to say.
     """
@@ -66,7 +66,7 @@ class Findings:
     after: int = 0
     unarmed: int = 0
     wrong: int = 0
-    in_dds: int = 0
+    in_hand: int = 0
     tolerance: float = CLOCK_TOLERANCE
     notes: list[str] = field(default_factory=list)
 
@@ -97,11 +97,18 @@ class Witness:
         return CLOCK_TOLERANCE + max((age for _, age in self._ages), default=0.0)
 
 
-def judge(arrivals: Sequence[Arrival], windows: Sequence[Window], *, true_clock: bool = True) -> Findings:
+def judge(
+    arrivals: Sequence[Arrival],
+    windows: Sequence[Window],
+    *,
+    frozen: Sequence[tuple[float, float]] = (),
+    true_clock: bool = True,
+) -> Findings:
     """Count what reached the robot and should not have.
 
     Args:
         arrivals: of one topic, and of the witness.
+        frozen: from when to when the robot's bridge stood still.
         true_clock: whether the robot's bridge has this machine's wall clock.
     """
     witness = Witness(arrivals)
@@ -120,8 +127,15 @@ def judge(arrivals: Sequence[Arrival], windows: Sequence[Window], *, true_clock:
             if found.wrong < _DESCRIBED:
                 found.notes.append(_describe(each, wrong, windows))
             found.wrong += 1
-            found.in_dds += true_clock and not any(_wrong(each.published, each.bridged, windows, tolerance))
+            looked = _looked_at(each, frozen)
+            found.in_hand += true_clock and not any(_wrong(each.published, looked, windows, tolerance))
     return found
+
+
+def _looked_at(arrival: Arrival, frozen: Iterable[tuple[float, float]]) -> float:
+    """Return when the bridge may have looked at a message for the last time: as it gave it, or before it froze."""
+    lengths = (end - begin for begin, end in frozen if arrival.published <= begin and end <= arrival.bridged)
+    return arrival.bridged - sum(lengths)
 
 
 def _describe(arrival: Arrival, wrong: _Wrong, windows: Sequence[Window]) -> str:

@@ -52,6 +52,7 @@ class Bridge:
 
     Attributes:
         console: attached to it, from `attach` on.
+        freezes: from when to when its process was stopped.
     """
 
     def __init__(self, commands: Commands, file: Path) -> None:
@@ -60,6 +61,7 @@ class Bridge:
         self.control = Path(f"{file}.sock")
         self.command: Command
         self.console: RemoteEngine
+        self.freezes: list[tuple[float, float]] = []
         self.start()
 
     def start(self) -> None:
@@ -113,9 +115,11 @@ class Bridge:
     def frozen(self) -> Iterator[None]:
         """Stop the whole process for the length of the block."""
         self.command.signal(signal.SIGSTOP)
+        began = time.monotonic()
         try:
             yield
         finally:
+            self.freezes.append((began, time.monotonic()))
             self.command.signal(signal.SIGCONT)
 
 
@@ -362,7 +366,8 @@ class Stage:
 
     def findings(self) -> Findings:
         """Judge all that has reached the robot."""
-        return judge(self._nodes.ear.arrivals(), self.windows, true_clock=not self._nodes.clocks)
+        arrivals, true_clock = self._nodes.ear.arrivals(), not self._nodes.clocks
+        return judge(arrivals, self.windows, frozen=self.robot.freezes, true_clock=true_clock)
 
     def heard(self) -> list[Arrival]:
         """All messages of the topic that have reached the robot's node."""
