@@ -5,7 +5,7 @@ a subscription each, and no message. All beds stand at once, each in two ROS dom
 ``--other FOLDER`` adds the same beds of another checkout, in the same turns; ``--peer`` adds them with
 zenoh-bridge-ros2dds; ``--many 100`` adds a bed of so many topics at 10 Hz of 500 B each: both sides' CPU by thread, and
 in ratio to the first bed of the same round. ``--express`` adds a topic that is `express`, at 20 Hz, to these:
-its latency is measured after the CPU.
+its latency is measured after the CPU, and then that of a topic which no bridge takes, in the talkers' domain.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import tempfile
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -49,6 +49,7 @@ _MANY_SETTLES = 15.0
 settled after a pause (`rsb_bridge.route.idling.SETTLES`)."""
 _USER_PROFILES = "RMW_FASTRTPS_USE_QOS_FROM_XML"
 _EXPRESS_RATE, _EXPRESS_SIZE = 20.0, 60
+_EXPRESS, _DIRECT = "the express topic", "a topic that no bridge takes"
 _SHOWN = 0.3  # µs a message of a thread that is shown
 _SLEPT = re.compile(r"^voluntary_ctxt_switches:\s*(\d+)", re.MULTILINE)
 _FEW, _KEPT_UP = 0.99, 0.9
@@ -85,10 +86,11 @@ class _ManyBed(bed.Bed):
     """A bed of many topics.
 
     Attributes:
-        express: a talker and a listener of a topic that is `express`, in the same domains, or None.
+        beside: a talker and a listener of a topic that is `express`, in the same domains, and of one that no bridge
+            takes, in the talker's; by their names for the reader.
     """
 
-    express: bed.Bed | None = None
+    beside: dict[str, bed.Bed] = field(default_factory=dict)
 
 
 def main(arguments: Sequence[str]) -> None:
@@ -141,8 +143,10 @@ def _standing(plan: Plan, near: int) -> Iterator[bed.Bed]:
         else:
             talker = stack.enter_context(bed.Process("-m", "bench.quiet", "talk", str(near), *busy))
             listener = stack.enter_context(bed.Process("-m", loopback.TRAFFIC, "listen", str(far), *busy))
-            express = stack.enter_context(loopback.ends(near, far)) if plan.express else None
-            made = _ManyBed(talker, listener, express=express)
+            made = _ManyBed(talker, listener)
+            if plan.express:
+                made.beside[_EXPRESS] = stack.enter_context(loopback.ends(near, far))
+                made.beside[_DIRECT] = stack.enter_context(loopback.ends(near, near, [_EXPRESS_SIZE]))
         if quiet:
             for part, domain in (("publish", near), ("subscribe", far)):
                 process = stack.enter_context(bed.Process("-m", "bench.quiet", part, str(domain), *quiet))
@@ -216,17 +220,18 @@ def _measure_many(figures: Figures, number: int, plan: Plan, made: bed.Bed) -> N
         figures.add(number, plan.name, "many both", both)
     for name in ("p50", "p99"):
         figures.add(number, plan.name, f"many {name}", report[name] / 1e6)
-    if isinstance(made, _ManyBed) and made.express is not None:
-        _measure_express(figures, number, plan, made, made.express)
+    if isinstance(made, _ManyBed):
+        for topic, each in made.beside.items():
+            _measure_beside(figures, number, plan, made, topic, each)
 
 
-def _measure_express(figures: Figures, number: int, plan: Plan, many: bed.Bed, express: bed.Bed) -> None:
+def _measure_beside(figures: Figures, number: int, plan: Plan, many: bed.Bed, topic: str, made: bed.Bed) -> None:
     with ThreadPoolExecutor(1) as beside:
         talks = beside.submit(many.talker.ask, f"talk {_MANY_SECONDS}")
-        run = express.send(_EXPRESS_RATE, 0.9 * _MANY_SECONDS, _EXPRESS_SIZE)
+        run = made.send(_EXPRESS_RATE, 0.9 * _MANY_SECONDS, _EXPRESS_SIZE)
         talks.result()
     for name, found in (("p50", run.p50), ("p99", run.p99), ("lost", 100 * (run.sent - run.received) / run.sent)):
-        figures.add(number, plan.name, f"express {name}", found)
+        figures.add(number, plan.name, f"{topic} {name}", found)
 
 
 class _Thread(NamedTuple):
@@ -283,9 +288,10 @@ def _print_many(figures: Figures, name: str, first: str) -> None:
     print(f"  {_cell(figures, name, 'many 0')} + {_cell(figures, name, 'many 1')} % of a core, p50 {p50}, p99 {p99} ms")
     if name != first and (ratio := figures.ratio(name, "many both", first)) is not None:
         print(f"  CPU of both sides {ratio.middle:.2f} ({ratio.low:.2f}–{ratio.high:.2f}) × of {first}")
-    if figures.names(name, "express "):
-        p50, p99, lost = (_cell(figures, name, f"express {each}", ".2f") for each in ("p50", "p99", "lost"))
-        print(f"  the express topic: p50 {p50}, p99 {p99} ms, lost {lost} %")
+    for topic in (_EXPRESS, _DIRECT):
+        if figures.names(name, f"{topic} "):
+            p50, p99, lost = (_cell(figures, name, f"{topic} {each}", ".2f") for each in ("p50", "p99", "lost"))
+            print(f"  {topic}: p50 {p50}, p99 {p99} ms, lost {lost} %")
     for at, side in enumerate(("sending", "receiving")):
         of_side = f"many CPU {at} "
         used = [(figures.spread(name, of_side + each), each) for each in figures.names(name, of_side)]
