@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 _SLOW, _IN_CHARACTERS = 0.3, 3
 """s that a line may take for an image, in which keys wait; and how often its resolution is halved until it is drawn in
 characters, which come in pieces between other things."""
+_FINER, _TRUE_COLOURS = 4, 4
+"""How many times the bytes an image takes with one strain less, by its pixels; and without any, by its colours."""
 _DEAR = 50_000
 """Bytes/s of a line below which 256 colours are worth more than true ones: an image in blocks comes twice as fast."""
 
@@ -110,11 +112,11 @@ class ImageStyle:
 
         Return whether that changes the style.
         """
-        before, seconds = self.strain, self._pane.image_bytes / self._pane.terminal.writer.line.rate
-        finer = seconds * (4 if self.shows_pixels else 1)
-        if self.shows_pixels and seconds > _SLOW:
+        before, rate = self.strain, self._pane.terminal.writer.line.rate
+        finer = self._pane.whole_bytes * (_FINER if self.shows_pixels else 1) * (_TRUE_COLOURS if before == 1 else 1)
+        if self.shows_pixels and self._pane.image_bytes / rate > _SLOW:
             self.strain += 1
-        elif self.strain and finer < _SLOW / 2:
+        elif before and finer / rate < _SLOW / 2:  # the terminal lacks all of a finer one, also of a still scene
             self.strain -= 1
         return self.strain != before
 

@@ -72,6 +72,8 @@ class PicturePane(Widget, can_focus=True):
         """Whether the newest image waits for the terminal."""
         self.image_bytes = 0
         """Bytes of the newest image that the terminal lacked, without what was under boxes."""
+        self.whole_bytes = 0
+        """Bytes of all of the newest image."""
         self.is_left_out = False
         """Whether it was too large for the line, so that the one before stays in sight."""
 
@@ -157,6 +159,7 @@ class PicturePane(Widget, can_focus=True):
         covered = self._rows_under_boxes(frame)
         lacking = (each for each in painter.lacking(bands) if not each.is_under(covered))
         self.image_bytes = sum(len(each.sequence) for each in lacking)
+        self.whole_bytes = sum(len(each.sequence) for each in bands)
         return bands, frame, covered
 
     def _suit_terminal(self, facts: TerminalFacts) -> None:

@@ -400,6 +400,25 @@ async def test_uncovered_image_is_measured_first(
         await until(pilot, lambda: looks(engine_of(app))[-1][1].across < wish.across, "a wish for fewer pixels")
 
 
+@pytest.mark.parametrize("rate", [200_000.0, 3_500_000.0])
+@on_list
+async def test_still_image_settles(
+    app: ConsoleApp, pilot: Pilot[None], rate: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Pictures that cost nothing, as the terminal has them, do not ask for finer ones that cost too much."""
+    written = await in_pixels(pilot, "kitty", (7.0, 15.0), "kitty")
+    replaced.NO_LINE.set(monkeypatch, TerminalLine(rate=rate))
+    wish, densities, sent = looks(engine_of(app))[-1][1], [], 0
+    for number in range(12):
+        if number == 6:
+            sent = len(written.text)
+        wish = await comes(pilot, viewed(camera(wish, noise(640, 480))))
+        densities.append((wish.across, wish.down))
+    assert densities[0] < (7, 15)
+    assert len({*densities[5:]}) == 1, densities
+    assert len(written.text) == sent
+
+
 def camera(wish: Wish, seen: Pixels) -> Pixels:
     """Return a camera's image of 640 × 480 as the other side draws it."""
     message = Image(encoding="rgb8", width=640, height=480, step=3 * 640, data=seen.data)
