@@ -126,7 +126,7 @@ class PicturePane(Widget, can_focus=True):
         Raises:
             UnreadableError: the other side's image is damaged.
         """
-        bands, frame, covered = await self._measured(image, wish, few_colours=few_colours)
+        bands, frame, covered = await self.cut(image, wish, few_colours=few_colours)
         self.is_left_out = self.image_bytes > _IMAGE_WITHIN * self.terminal.writer.line.rate
         if self.is_left_out:
             return
@@ -138,18 +138,12 @@ class PicturePane(Widget, can_focus=True):
         self._show_rows([row if y in hidden else () for y, row in enumerate(rows)])
         self.call_after_refresh(self._paint)
 
-    async def measure(self, image: Pixels, wish: Wish) -> None:
-        """Measure the bytes of an image that is shown in characters, as if it were in pixels of few colours.
+    async def cut(self, image: Pixels, wish: Wish, *, few_colours: bool) -> tuple[list[Band], Extent, frozenset[int]]:
+        """Cut an image into bands, and measure them; return them, their place, and the rows of it under boxes.
 
         Raises:
             UnreadableError: the other side's image is damaged.
         """
-        await self._measured(image, wish, few_colours=True)
-
-    async def _measured(
-        self, image: Pixels, wish: Wish, *, few_colours: bool
-    ) -> tuple[list[Band], Extent, frozenset[int]]:
-        """Return an image's bands, its place, and its rows under boxes."""
         facts = self.terminal.facts
         painter = self._painter = self._painter or Painter(facts.pixels)
         cell, paper, before = facts.cell or USUAL_CELL, self._paper.background, self._bands

@@ -38,6 +38,7 @@ from rsb_extras.pictures.wish_keys import CHANGES
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
+    from rsb_bridge.feature_api import RouteSnapshot
     from rsb_console.feature_console import Console
     from rsb_extras.pictures.graphics import Extent
     from rsb_extras.pictures.layouts import Subject
@@ -176,18 +177,12 @@ class PictureTile(Tile):
 
     def fit(self) -> None:
         self._take(self._look.fitted(self._wish))
-        self._redraw()  # the picture in sight, in the new size
-
-    def _redraw(self) -> None:
-        """Draw the picture in sight once more, as the operator or the terminal has changed something."""
-        if self._look.is_image(self.content):
-            self.show_again()
-        else:
-            self._draw()
+        self.show_again()  # the picture in sight, in the new size
 
     # Not exclusive: a held key would end each drawing before it is in sight.
     @work(group="image")
     async def show_again(self) -> None:
+        """Show the picture in sight once more, as the operator or the terminal has changed something."""
         await self._show_content()
 
     # -- pictures -----------------------------------------------------------------------------------------------------
@@ -267,8 +262,8 @@ class PictureTile(Tile):
             await self.show_image(self._image, wish, blocks, few_colours=self._look.strain > 0)
         else:
             self._blocks = await asyncio.to_thread(blocks)
-            if self._look.strain:
-                await self.measure(self._image, wish)
+            if self._look.strain:  # what would it take in pixels?
+                await self.cut(self._image, wish, few_colours=True)
         self._seen = _seen_map(content, frame_of(self._image, wish))
 
     def _draw(self) -> None:
@@ -369,12 +364,12 @@ class PictureTile(Tile):
         columns, rows = round(right / _PAN), round(-up / _PAN)
         if self._goal.goal is not None and (scale := self._scale) is not None:
             self._goal.move(scale, columns, rows)
-            self._redraw()
+            self.show_again()
         elif isinstance(content, Series):
             last = max(0, self._wish.width - AXIS - 1)
             at = last if self._cursor is None else self._cursor + columns
             self._cursor = max(0, min(last, at))
-            self._redraw()
+            self.show_again()
         else:
             self._take(msgspec.structs.replace(self._wish, x=self._wish.x + right, y=self._wish.y + up))
 
@@ -406,7 +401,7 @@ class PictureTile(Tile):
         """Drop the goal, and return whether there was one."""
         had, self._goal.goal = self._goal.goal is not None, None
         if had:
-            self._redraw()
+            self.show_again()
         return had
 
     def action_goal(self) -> None:
@@ -417,7 +412,7 @@ class PictureTile(Tile):
             self.notify(ViewText.NO_MAP(), severity="warning", markup=False)
             return
         self._goal.begin(*seen)
-        self._redraw()
+        self.show_again()
 
     def on_picture_pane_clicked(self, event: Tile.Clicked) -> None:
         """Put the goal where the operator clicks."""
@@ -427,30 +422,25 @@ class PictureTile(Tile):
             self.notify(ViewText.OUTSIDE(), severity="warning", markup=False)
             return
         self._goal.put(seen.scale, event.column, event.row)
-        self._redraw()
+        self.show_again()
 
     def action_place(self) -> None:
         """Go on to the goal's heading, and then to the form that publishes it."""
         if self._goal.goal is None:
             return
         fields = self._goal.go_on()
-        self._redraw()
+        self.show_again()
         if fields:
             self._publish(fields)
 
     @work(group=DIALOG)
     async def _publish(self, fields: str) -> None:
         if _PUBLISH is not None:
-            await _PUBLISH(self.console, self._goal_topic(), POSE, fields)
+            await _PUBLISH(self.console, _goal_topic(self.routes), POSE, fields)
 
     @property
     def where(self) -> str:
         return self.subject.link or (self._viewed.where if self._viewed is not None else "")
-
-    def _goal_topic(self) -> str:
-        """Return a topic of poses that goes to the side of the map, or the usual name."""
-        poses = (each.topic for each in self.routes if each.outgoing and formats.full_type(each) in (POSE, ""))
-        return next((topic for topic in poses if topic.endswith(_GOAL_TOPIC)), _GOAL_TOPIC)
 
     # -- files --------------------------------------------------------------------------------------------------------
 
@@ -495,6 +485,12 @@ def _seen_map(content: Cells | Pixels | Series, frame: Extent | None = None) -> 
         return None
     seen = msgspec.structs.replace(scale, column=scale.column * columns / width, row=scale.row * rows / height)
     return SeenMap(seen, width, height)
+
+
+def _goal_topic(routes: Iterable[RouteSnapshot]) -> str:
+    """Return a topic of poses that goes to the side of the map, or the usual name."""
+    poses = (each.topic for each in routes if each.outgoing and formats.full_type(each) in (POSE, ""))
+    return next((topic for topic in poses if topic.endswith(_GOAL_TOPIC)), _GOAL_TOPIC)
 
 
 def _is_points(type_name: str) -> bool:
