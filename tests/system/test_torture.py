@@ -113,6 +113,7 @@ def test_the_judge_excuses_what_was_in_hand() -> None:
 
     assert in_hand(11.99, 14.51, 14.51) == (1, 1)  # it was stamped by DDS after the freeze
     assert in_hand(11.99, 14.51, 12.0) == (1, 1)  # and before
+    assert in_hand(11.99, 14.6, 14.6) == (1, 0)  # it was not published at once after that
     assert in_hand(12.5, 14.51, 14.51) == (1, 0)
     assert in_hand(10.9, 14.51, 14.51) == (1, 0)
     assert in_hand(13.4, 14.51, 14.51) == (1, 0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
 
@@ -12,6 +12,7 @@ from rsb_extras.pictures.blocks import image_rows, wished_pixels
 from rsb_extras.pictures.cell_image import fine_for, image_of, is_drawn, styles_in
 from rsb_extras.pictures.graphics import USUAL_CELL, frame_of, protocol_of
 from rsb_extras.pictures.picture import Cells, Pixels, sized
+from rsb_extras.pictures.picture_pane import IMAGE_WITHIN
 from rsb_extras.pictures.picture_rows import UnreadableError, has_pillow, rgb_of
 
 if TYPE_CHECKING:
@@ -23,10 +24,24 @@ if TYPE_CHECKING:
 _SLOW, _IN_CHARACTERS = 0.3, 3
 """s that a line may take for an image, in which keys wait; and how often its resolution is halved until it is drawn in
 characters, which come in pieces between other things."""
-_FINER, _TRUE_COLOURS = 4, 4
-"""How many times the bytes an image takes with one strain less, by its pixels; and without any, by its colours."""
+_OFTEN = 4
+"""How many times the bytes an image takes with one strain less, before anything is known: that of its pixels."""
+_MOST_TIMES = 16
+"""The same with true colours instead of few. More was another scene."""
 _DEAR = 50_000
 """Bytes/s of a line below which 256 colours are worth more than true ones: an image in blocks comes twice as fast."""
+
+
+class _Finer(NamedTuple):
+    """An image with one strain less.
+
+    Attributes:
+        times: how many times the bytes it takes.
+        is_sent: whether one was sent, so that the line's rate is known.
+    """
+
+    times: float
+    is_sent: bool
 
 
 class StyleText(Wording):
@@ -45,6 +60,10 @@ class ImageStyle:
     def __init__(self, pane: PicturePane) -> None:
         self._pane = pane
         self.strain = 0
+        self._left: tuple[int, bool] | None = None
+        """Bytes of the image that has just been found too large, and whether it was sent."""
+        self._finer: dict[int, _Finer] = {}
+        """What is known of the images with one strain less, by strain."""
 
     @property
     def colours(self) -> int:
@@ -66,6 +85,11 @@ class ImageStyle:
     def shows_pixels(self) -> bool:
         terminal = self._pane.terminal
         return not terminal.ascii_only and protocol_of(terminal.facts) != "" and self.strain < _IN_CHARACTERS
+
+    @property
+    def is_measured(self) -> bool:
+        """Whether images in characters are measured as pixels. Sixels are as large at any strain, and slow to make."""
+        return self.strain > 0 and protocol_of(self._pane.terminal.facts) == "kitty"
 
     @property
     def _cell(self) -> tuple[float, float]:
@@ -112,13 +136,25 @@ class ImageStyle:
 
         Return whether that changes the style.
         """
-        before, rate = self.strain, self._pane.terminal.writer.line.rate
-        finer = self._pane.whole_bytes * (_FINER if self.shows_pixels else 1) * (_TRUE_COLOURS if before == 1 else 1)
-        if self.shows_pixels and self._pane.image_bytes / rate > _SLOW:
+        pane, before, rate = self._pane, self.strain, self._pane.terminal.writer.line.rate
+        if self._left is not None:
+            size, is_sent = self._left
+            self._left, self._finer[before] = None, _Finer(min(_MOST_TIMES, size / max(1, pane.whole_bytes)), is_sent)
+        if self.shows_pixels and pane.image_bytes / rate > _SLOW:
             self.strain += 1
-        elif before and finer / rate < _SLOW / 2:  # the terminal lacks all of a finer one, also of a still scene
-            self.strain -= 1
+            self._left = pane.whole_bytes, not pane.is_left_out
+        elif before and (_OFTEN if self.shows_pixels else 1) * pane.image_bytes / rate < _SLOW / 2:
+            self.strain -= self._takes_finer(pane.whole_bytes / rate)
         return self.strain != before
+
+    def _takes_finer(self, seconds: float) -> bool:
+        """Whether the line is to get a finer image than the one that takes it so long: it lacks all of that one.
+
+        A still scene takes nothing, and would be sent finer and coarser by turns. But only an image that was sent has
+        told how fast the line is: one that was left out is tried as soon as it may be sent.
+        """
+        finer = self._finer.get(self.strain)
+        return finer is None or finer.times * seconds < (_SLOW / 2 if finer.is_sent else IMAGE_WITHIN / 2)
 
     def line(self) -> str:
         """Return what the terminal was found to show, or how to get more."""

@@ -44,7 +44,7 @@ _LOOKS = {
 """The theme's look of each style of a picture that has another name there."""
 _TRIES, _LOOK_EVERY = 100, 0.02
 """Looks whether a terminal that lags has the picture, 2 s in all, and s between them. Round figures."""
-_IMAGE_WITHIN = 2.0
+IMAGE_WITHIN = 2.0
 """s of the line that an image in pixels may take. Nothing overtakes it: neither a key's effect nor what the robot does.
 A line that is faster than known shows a coarser image first, which tells its rate."""
 _COVERED_EVERY = 0.1
@@ -127,7 +127,7 @@ class PicturePane(Widget, can_focus=True):
             UnreadableError: the other side's image is damaged.
         """
         bands, frame, covered = await self.cut(image, wish, few_colours=few_colours)
-        self.is_left_out = self.image_bytes > _IMAGE_WITHIN * self.terminal.writer.line.rate
+        self.is_left_out = self.image_bytes > IMAGE_WITHIN * self.terminal.writer.line.rate
         if self.is_left_out:
             return
         self._bands, self._frame, self._owes = bands, frame, True
@@ -180,6 +180,9 @@ class PicturePane(Widget, can_focus=True):
         under_boxes = self._rows_under_boxes(self._frame)
         # Where a box has gone, `show_image` first looks whether the line can take what was under it.
         self._covered |= under_boxes
+        if under_boxes != self._under_boxes:
+            self._under_boxes = under_boxes
+            self.show_again()
         if self._losses != self.terminal.losses:
             self._losses = self.terminal.losses
             self._painter.lost()
@@ -190,9 +193,6 @@ class PicturePane(Widget, can_focus=True):
         sequence = self._painter.painted(self._bands, (at.x, at.y), self._covered)
         self.terminal.write_to_terminal(sequence)
         self._owes = False
-        if under_boxes != self._under_boxes:
-            self._under_boxes = under_boxes
-            self.show_again()
 
     def _drawn_over(self, spans: Sequence[tuple[int, int, int]]) -> None:
         """Send the image again where text was drawn: for a box on the screen, Textual often draws all that is below."""

@@ -216,8 +216,9 @@ class PictureTile(Tile):
             came = self._viewed, self._came
             if await self.is_taken():
                 self._on_terminal = came
-            if self._look.spare():
-                self.fit()
+            async with self._showing:  # what is drawn meanwhile is measured first
+                if self._look.spare():
+                    self._take(self._look.fitted(self._wish))
 
     @property
     def _is_map(self) -> bool:
@@ -244,7 +245,7 @@ class PictureTile(Tile):
             if content is not None and self._look.is_image(content):
                 try:
                     await self._show_image_of(content)
-                    while self.is_left_out and self._look.spare():
+                    while self.is_left_out and self._look.shows_pixels and self._look.spare():
                         self._take(self._look.fitted(self._wish))
                         await self._show_image_of(content)  # of a picture that is held, no coarser one comes
                 except UnreadableError as error:
@@ -262,7 +263,7 @@ class PictureTile(Tile):
             await self.show_image(self._image, wish, blocks, few_colours=self._look.strain > 0)
         else:
             self._blocks = await asyncio.to_thread(blocks)
-            if self._look.strain:  # what would it take in pixels?
+            if self._look.is_measured:  # what would it take in pixels?
                 await self.cut(self._image, wish, few_colours=True)
         self._seen = _seen_map(content, frame_of(self._image, wish))
 

@@ -127,15 +127,18 @@ def judge(
             if found.wrong < _DESCRIBED:
                 found.notes.append(_describe(each, wrong, windows))
             found.wrong += 1
-            looked = _looked_at(each, frozen)
+            looked = _looked_at(each, frozen, tolerance)
             found.in_hand += true_clock and not any(_wrong(each.published, looked, windows, tolerance))
     return found
 
 
-def _looked_at(arrival: Arrival, frozen: Iterable[tuple[float, float]]) -> float:
+def _looked_at(arrival: Arrival, frozen: Iterable[tuple[float, float]], tolerance: float) -> float:
     """Return when the bridge may have looked at a message for the last time: as it gave it, or before it froze."""
-    lengths = (end - begin for begin, end in frozen if arrival.published <= begin and end <= arrival.bridged)
-    return arrival.bridged - sum(lengths)
+    bridged = arrival.bridged
+    for begin, end in frozen:
+        if arrival.published <= begin and end <= bridged <= end + tolerance:
+            return bridged - (end - begin)
+    return bridged
 
 
 def _describe(arrival: Arrival, wrong: _Wrong, windows: Sequence[Window]) -> str:

@@ -21,7 +21,7 @@ from textual.widgets import Static
 
 from rsb_bridge.model.snapshot import ArmingSnapshot
 from rsb_console.app import ConsoleApp
-from rsb_console.terminal.terminal_line import TerminalLine
+from rsb_console.terminal.terminal_line import FRAME, TerminalLine
 from rsb_extras.driving.drive_screen import DriveScreen
 from rsb_extras.pictures.graphics import BANDS
 from rsb_extras.pictures.picture import Cells, Curve, Pixels, Scale, Series
@@ -400,6 +400,31 @@ async def test_uncovered_image_is_measured_first(
         await until(pilot, lambda: looks(engine_of(app))[-1][1].across < wish.across, "a wish for fewer pixels")
 
 
+@on_list
+async def test_still_image_becomes_fine_on_a_line_that_turns_out_fast(
+    app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As a new terminal's line, of which is known only how much has passed at once."""
+    written = await in_pixels(pilot, "kitty", (7.0, 15.0), "kitty")
+    line = TerminalLine(rate=40_000.0)
+    replaced.NO_LINE.set(monkeypatch, line)
+    write = app.write_to_terminal
+
+    def passes(sequence: str) -> None:
+        write(sequence)
+        line.rate = max(line.rate, 2.0 * len(sequence) / FRAME)
+
+    vars(app)["write_to_terminal"] = passes
+    wish = looks(engine_of(app))[-1][1]
+    densities = []
+    for _ in range(12):
+        wish = await comes(pilot, viewed(camera(wish, noise(640, 480))))
+        densities.append((wish.across, wish.down))
+    assert min(densities) < (7, 15)
+    assert densities[-1] == (7, 15), densities
+    assert written.shown()
+
+
 @pytest.mark.parametrize("rate", [200_000.0, 3_500_000.0])
 @on_list
 async def test_still_image_settles(
@@ -576,7 +601,8 @@ async def test_image_that_would_fill_the_line_is_not_sent(
     assert (wish.across, wish.down) < (asked.across, asked.down)
     await until(pilot, lambda: any(row.strip() for row in drawn(app)), "characters")
     assert not written.shown()
-    await comes(pilot, viewed(halves(8, 6, 255)))
+    for _ in range(4):
+        await comes(pilot, viewed(halves(8, 6, 255)))
     await until(pilot, lambda: len(written.shown()) == bands(app), "a small image")
     await until(pilot, lambda: (seen := pane_of(app).sight()) is not None and seen.age is not None, "its age")
 
