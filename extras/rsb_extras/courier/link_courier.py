@@ -62,7 +62,7 @@ _LISTS_A_SECOND = 1.0
 _PAGE_BYTES = 128 << 10  # of a page, unless one recording has more: a tenth of a control message
 _DEPTH = 16  # slices that may wait; 2 are under way
 _BEGINS, _BEGINS_WITHIN = 20, 60.0
-"""Orders for pieces of a peer that are followed in so many s: each opens files and looks for a place."""
+"""Orders of a peer for pieces that are followed at once, and then in so many s: each opens files."""
 _SILENT, _LOOK_EVERY = 120.0, 5.0
 """s without a slice, while the link is up, after which this side begins anew. Round figures: a slice of 2 KiB
 takes 0.4 s at 5 kB/s, and longer beside topics."""

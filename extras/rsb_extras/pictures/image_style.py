@@ -24,10 +24,10 @@ if TYPE_CHECKING:
 _SLOW, _IN_CHARACTERS = 0.3, 3
 """s that a line may take for an image, in which keys wait; and how often its resolution is halved until it is drawn in
 characters, which come in pieces between other things."""
-_OFTEN = 4
-"""How many times the bytes an image takes with one strain less, before anything is known: that of its pixels."""
+_PIXELS = 4
+"""Times as many pixels of an image with one strain less."""
 _MOST_TIMES = 16
-"""The same with true colours instead of few. More was another scene."""
+"""Times as many of its bytes, at most: with true colours instead of few. More was another scene."""
 _DEAR = 50_000
 """Bytes/s of a line below which 256 colours are worth more than true ones: an image in blocks comes twice as fast."""
 
@@ -143,7 +143,7 @@ class ImageStyle:
         if self.shows_pixels and pane.image_bytes / rate > _SLOW:
             self.strain += 1
             self._left = pane.whole_bytes, not pane.is_left_out
-        elif before and (_OFTEN if self.shows_pixels else 1) * pane.image_bytes / rate < _SLOW / 2:
+        elif before and (_PIXELS if self.shows_pixels else 1) * pane.image_bytes / rate < _SLOW / 2:
             self.strain -= self._takes_finer(pane.whole_bytes / rate)
         return self.strain != before
 
@@ -153,8 +153,8 @@ class ImageStyle:
         A still scene takes nothing, and would be sent finer and coarser by turns. But only an image that was sent has
         told how fast the line is: one that was left out is tried as soon as it may be sent.
         """
-        finer = self._finer.get(self.strain)
-        return finer is None or finer.times * seconds < (_SLOW / 2 if finer.is_sent else IMAGE_WITHIN / 2)
+        times, is_sent = self._finer[self.strain]
+        return times * seconds < (_SLOW / 2 if is_sent else IMAGE_WITHIN / 2)
 
     def line(self) -> str:
         """Return what the terminal was found to show, or how to get more."""
@@ -172,7 +172,7 @@ def _coarsened(image: Pixels, wish: Wish) -> Pixels:
         UnreadableError: the other side's image is damaged.
     """
     factor = round(image.width / (frame_of(image, wish).width * wish.across))
-    if factor < 2 or not has_pillow():
+    if factor < 2:
         return image
     from PIL import Image  # noqa: PLC0415 -- optional
 

@@ -266,6 +266,37 @@ async def test_box_on_held_image_hides_its_bands(app: ConsoleApp, pilot: Pilot[N
     await until(pilot, lambda: image.y + high in written.tops(before), "the band in pixels")
 
 
+@on_list
+async def test_box_that_is_soon_gone_leaves_no_hole(
+    app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It goes while the line carries the text by which the sixels below it were taken away."""
+    line = TerminalLine(rate=1e9)
+    replaced.NO_LINE.set(monkeypatch, line)
+    written = await in_pixels(pilot, "sixel")
+    await comes(pilot, viewed(halves(640, 480, 255)))
+    await until(pilot, lambda: len(written.tops()) == bands(app), "the image")
+    await pilot.press("space")
+    image, writer = image_region(app), app.writer
+    top, forget = image.y + math.ceil(image.height / BANDS), writer.forget
+
+    def forget_and_wait(region: Region) -> None:
+        forget(region)
+        line.rate = 1.0
+        line.wrote(1000)
+
+    vars(writer)["forget"] = forget_and_wait
+    await app.push_screen(Box(Region(image.x + 9, top, 9, 1)))
+    await until(pilot, lambda: line.rate == 1.0, "the sixels below it are taken away")
+    del vars(writer)["forget"]
+    before = len(written.text)
+    app.pop_screen()
+    await until(pilot, lambda: isinstance(app.screen, ViewScreen), "no box")
+    line.rate = 1e9
+    await until(pilot, lambda: top in written.tops(before), "the band in pixels")
+    assert not edges(app)
+
+
 @PROTOCOLS
 @on_list
 async def test_message_beside_image_hides_nothing(app: ConsoleApp, pilot: Pilot[None], protocol: str) -> None:
