@@ -70,7 +70,7 @@ _prompt: set[str] = set()
 """Topics whose writers have `prompt_writer`, and how many may have it. The number is a round figure."""
 _DEEP = 1000
 """Messages. A writer that keeps fewer may have overwritten what a reader lacks before it asks, which by the default
-profile takes up to 0.6 s. As many come in that time at 1.6 kHz."""
+profile takes up to 0.5 s. As many come in that time at 2 kHz."""
 
 _CALLS = Qos("reliable", "volatile", "keep_last", _KEPT)
 """The QoS of all services, with a greater depth: simultaneous calls must not displace each other."""

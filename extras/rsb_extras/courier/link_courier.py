@@ -97,7 +97,7 @@ class CourierProblem(Wording):
     NO_SENDING = "{owner} takes no recording from {peer}: the side that gets it proposes the route"
     ONE_ROUTE = "recordings have a route already"
     NO_ROUTE = "this route carries no recordings"
-    TOO_OFTEN = "a recording was asked for {most} times within {seconds:g} s: wait"
+    TOO_OFTEN = "recordings were asked for too often: one request more is taken each {seconds:g} s"
     NOT_OPENED = "the route for pieces was not opened: {reason}"
     LOST = "the link was lost"
     SILENT = "{link} sent nothing for {seconds:.0f} s"
@@ -223,7 +223,7 @@ class LinkCourier(AskingExtension):
     def _begin(self, order: BeginPieces) -> None:
         self._end_sending()
         if not self._allowance.take(1, self._context.now()):
-            self._end_run(order.run, CourierProblem.TOO_OFTEN(most=_BEGINS, seconds=_BEGINS_WITHIN), is_final=False)
+            self._end_run(order.run, CourierProblem.TOO_OFTEN(seconds=_BEGINS_WITHIN / _BEGINS), is_final=False)
             return
         sending = self._sending = _Sending(order)
         sending.task = self._link.spawn(self._send(sending))
