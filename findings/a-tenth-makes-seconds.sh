@@ -38,17 +38,6 @@ profile() {
 XML
 }
 
-cat >hears.py <<'PYTHON'
-import rclpy
-from rclpy.qos import QoSProfile
-from std_msgs.msg import UInt8MultiArray
-
-rclpy.init()
-node = rclpy.create_node("hears")
-heard = node.create_subscription(UInt8MultiArray, "scans", lambda _: None, QoSProfile(depth=5000), raw=True)
-rclpy.spin(node)
-PYTHON
-
 cat >program.py <<'PYTHON'
 import signal
 import subprocess
@@ -64,12 +53,15 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import UInt8MultiArray
 
 ROUNDS, STOPS = 10, 4
-print(sys.argv[1], "ros-rclpy", version("ros-rclpy"), "ros-fastrtps", version("ros-fastrtps"))
 rclpy.init()
-node = rclpy.create_node("sends")
+node = rclpy.create_node(sys.argv[1])
+if sys.argv[1] == "hears":
+    heard = node.create_subscription(UInt8MultiArray, "scans", lambda _: None, QoSProfile(depth=5000), raw=True)
+    rclpy.spin(node)
+print(sys.argv[2], "ros-rclpy", version("ros-rclpy"), "ros-fastrtps", version("ros-fastrtps"))
 publisher = node.create_publisher(UInt8MultiArray, "scans", QoSProfile(depth=2000))
 message = serialize_message(UInt8MultiArray(data=bytes(100_000)))
-hears = subprocess.Popen([sys.executable, "hears.py"])
+hears = subprocess.Popen([sys.executable, __file__, "hears"])
 while not publisher.get_subscription_count():
     time.sleep(0.05)
 time.sleep(0.5)
@@ -108,5 +100,5 @@ behind by more than a second in ten rounds: True
 TEXT
 for duration in 0 100000000; do
     profile "$duration" >profile.xml
-    FASTRTPS_DEFAULT_PROFILES_FILE=$PWD/profile.xml RMW_FASTRTPS_USE_QOS_FROM_XML=1 venv/bin/python program.py "$duration"
+    FASTRTPS_DEFAULT_PROFILES_FILE=$PWD/profile.xml RMW_FASTRTPS_USE_QOS_FROM_XML=1 venv/bin/python program.py sends "$duration"
 done | diff expected - && echo "as seen" || { echo "not as seen (< then, > now)"; exit 1; }
