@@ -3,9 +3,8 @@
 #
 # ros-rclpy 7.1.6 with rmw_fastrtps_cpp 8.4.3 on Fast DDS 2.14.5, from PyPI. For that time after a message was sent, the
 # writer takes none of the reader's requests for it; the default is 0. It looks like a cheap way to spare wake-ups: a
-# writer at 10 Hz then has fewer timers. But shared memory holds few messages of 100 kB, a reader that is stopped for
-# 0.1 s loses some, and the heartbeats that would have it ask again go unheard. Meanwhile more come, and are lost, too.
-# Small messages are repaired as soon as without it.
+# writer at 10 Hz then has fewer timers. But shared memory holds few messages of 100 kB, and a reader that is stopped for
+# 0.1 s loses some. While they are not sent again, more come, and are lost, too.
 set -euo pipefail
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT

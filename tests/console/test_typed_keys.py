@@ -9,6 +9,7 @@ import select
 import sys
 import termios
 import time
+import tty
 from collections.abc import Iterator
 
 import pytest
@@ -16,8 +17,6 @@ from tests.console.late_input_helpers import Time
 from tests.support import surroundings
 
 from rsb_console.terminal.pulse import ANSWERS_WITHIN, FRESH_FOR, WHO_ARE_YOU, TypedKeys
-
-_LOCAL_MODES = 3
 
 
 class Terminal:
@@ -67,7 +66,7 @@ class Terminal:
     def is_plain(self) -> bool:
         """Whether it echoes, and passes on whole lines."""
         wanted = termios.ICANON | termios.ECHO
-        return bool(termios.tcgetattr(self.here)[_LOCAL_MODES] & wanted == wanted)
+        return bool(termios.tcgetattr(self.here)[tty.LFLAG] & wanted == wanted)
 
     def close(self) -> None:
         os.close(self._there)

@@ -4,7 +4,9 @@ import contextlib
 import os
 import signal
 import subprocess
+import termios
 import time
+import tty
 from pathlib import Path
 
 
@@ -30,6 +32,15 @@ class Tmux:
     @property
     def title(self) -> str:
         return self("display-message", "-p", "#{pane_title}").rstrip()
+
+    @property
+    def makes_signals(self) -> bool:
+        """Whether Ctrl+C is a signal, and not a key of a program in raw mode."""
+        terminal = os.open(self("display-message", "-p", "#{pane_tty}").rstrip(), os.O_RDONLY | os.O_NOCTTY)
+        try:
+            return bool(termios.tcgetattr(terminal)[tty.LFLAG] & termios.ISIG)
+        finally:
+            os.close(terminal)
 
     def wait_for(self, words: str, seconds: float = 120.0, *, there: bool = True) -> str:
         """Wait until `words` are there, or no more."""

@@ -7,7 +7,6 @@ import shlex
 import shutil
 import signal
 import sys
-import termios
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -311,17 +310,6 @@ def pressed(tmux: Tmux, key: str, words: str) -> str:
     return picture
 
 
-_LOCAL_MODES = 3  # of what `termios.tcgetattr` returns
-
-
-def keys_are_signals(tmux: Tmux) -> bool:
-    terminal = os.open(tmux("display-message", "-p", "#{pane_tty}").rstrip(), os.O_RDONLY | os.O_NOCTTY)
-    try:
-        return bool(termios.tcgetattr(terminal)[_LOCAL_MODES] & termios.ISIG)
-    finally:
-        os.close(terminal)
-
-
 def test_key_runs_a_real_command_in_a_terminal(in_tmux: Tmux) -> None:
     pressed(in_tmux, "Y", f"begin {TOPIC}")
     picture = in_tmux.wait_for("exit code 5")
@@ -338,14 +326,14 @@ def test_interactive_command_gets_the_terminal_and_gives_it_back(in_tmux: Tmux) 
     in_tmux.wait_for("exit code 5", there=False)
     in_tmux.wait_for("LIVE")
     in_tmux("send-keys", "F9")
-    eventually(lambda: keys_are_signals(in_tmux))  # until then keys are the console's, which ignores them
+    eventually(lambda: in_tmux.makes_signals)  # until then keys are the console's, which ignores them
     in_tmux("send-keys", "hello", "Enter")
     in_tmux.wait_for("answer: hello")
     in_tmux("send-keys", "C-z", "bye", "Enter")
     in_tmux.wait_for("asks: exit code 6")
     in_tmux.wait_for("LIVE")
     in_tmux("send-keys", "F9")
-    eventually(lambda: keys_are_signals(in_tmux))
+    eventually(lambda: in_tmux.makes_signals)
     in_tmux("send-keys", "C-c")
     in_tmux.wait_for("asks: ended by SIGINT")
     pressed(in_tmux, "Y", "exit code 5")

@@ -84,6 +84,12 @@ class AtTerminal:
     def wait_for(self, words: str) -> None:
         eventually(lambda: words in self.text, what=f"{words!r} in {self.text!r}")
 
+    def exit_code(self) -> int:
+        """Wait for its end, and until all that it wrote is read."""
+        eventually(lambda: self.process.poll() is not None)
+        eventually(lambda: not self._reader.is_alive())
+        return int(self.process.wait())
+
     def press(self, keys: str) -> None:
         os.write(self._ours, keys.encode())
 

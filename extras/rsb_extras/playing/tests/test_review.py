@@ -10,7 +10,6 @@ from typing import Any
 
 import pytest
 from tests.console.driving import WIDE, notified, on_main, shown, text
-from tests.support.waiting import eventually
 from tests.support.wording import says
 
 from rsb_extras.pictures.picture import Pixels, Series, Wish
@@ -248,6 +247,5 @@ def test_without_a_terminal_it_says_what_to_do(path: Path, ran: Any) -> None:
 
 def test_topic_that_is_not_in_it_is_refused(path: Path, at_terminal: Any) -> None:
     app = at_terminal("review", str(path), "/scam")
-    eventually(lambda: app.process.poll() is not None)
-    assert app.process.wait() == 2
-    eventually(lambda: says(app.text, NoReview.NO_TOPIC, topic="/scam"))  # what it wrote is read on a thread
+    assert app.exit_code() == 2
+    assert says(app.text, NoReview.NO_TOPIC, topic="/scam")
